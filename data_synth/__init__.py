@@ -1,0 +1,1 @@
+"""Procedural head scans with exact geometry, material and light: what trains and measures the models."""
