@@ -1,0 +1,38 @@
+"""What every command line here shares: how an error becomes an exit status.
+
+A tool is a script, so Python puts this folder first on the path and `from _cli import run` finds this file.
+
+Exit status: 0 done; 1 an unexpected failure (with its traceback); 2 wrong usage (argparse's own); 3 the input cannot be
+used, one line on stderr says why and what to do; 130 interrupted.
+"""
+
+import sys
+from collections.abc import Callable
+
+
+def run(body: Callable[[], int | None]) -> int:
+    """Run a tool's body and give its exit status.
+
+    Parameters
+    ----------
+    body : called without arguments; None counts as 0.
+
+    Returns
+    -------
+    0, 3 or 130 as above, or what `body` returned. Any other exception passes through with its traceback: it is a defect,
+    not the user's mistake.
+    """
+    from sira_assets.errors import InputError, MissingExtraError
+
+    try:
+        return int(body() or 0)
+    except (InputError, MissingExtraError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 3
+    except FileNotFoundError as error:
+        # Readers say more where they can; this catches a path that vanished or was mistyped on the way.
+        print(f"error: no such file: {error.filename or error}", file=sys.stderr)
+        return 3
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
