@@ -1,0 +1,1 @@
+"""Procedural heads: shape, hair and material, exact at every point of the template."""
