@@ -47,8 +47,8 @@ class Camera:
         if error > 1e-3 or np.linalg.det(pose[:3, :3]) < 0:
             raise InputError(
                 expected="a rigid camera pose (a rotation and a translation)",
-                received=f"a 3x3 block that misses a rotation by {error:.2g}, determinant {np.linalg.det(pose[:3, :3]):.3g}",
-                remedy="remove scale and reflection from transform_matrix; a head's size belongs in canonical_from_world",
+                received=f"a 3x3 block off by {error:.2g}, determinant {np.linalg.det(pose[:3, :3]):.3g}",
+                remedy="remove scale and reflection from transform_matrix; size belongs in canonical_from_world",
             )
         for array in (k, pose):
             array.setflags(write=False)
