@@ -1,0 +1,57 @@
+"""Building blocks of every network: positional encoding and a plain multilayer perceptron.
+
+Notation: x (N, D) inputs; PE_K(x) = (x, sin(2^k x), cos(2^k x)) for k < K (Mildenhall 2020, DOI 10.1145/3503250), in
+network units (`UNIT_M` canonical metres each), so the shortest wavelength is 2 pi UNIT_M / 2^(K-1).
+"""
+
+import itertools
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+# One network unit in canonical metres. A head then spans about +-1.5 units, where sin(2^0 x) is still one-to-one.
+UNIT_M = 0.1
+
+
+def encode(x: Float[Tensor, "N D"], octaves: int) -> Float[Tensor, "N E"]:
+    """Positional encoding with E = D (1 + 2 octaves)."""
+    if octaves == 0:
+        return x
+    scaled = x[..., None] * (2.0 ** torch.arange(octaves, dtype=x.dtype, device=x.device))
+    return torch.cat([x, torch.sin(scaled).flatten(-2), torch.cos(scaled).flatten(-2)], -1)
+
+
+def encoded_size(dimension: int, octaves: int) -> int:
+    """E of `encode`."""
+    return dimension * (1 + 2 * octaves)
+
+
+class MLP(nn.Module):
+    """`depth` hidden layers of `width`, softplus(beta), linear output.
+
+    Softplus (not ReLU) wherever a gradient of the output is itself differentiated: the eikonal term needs second
+    derivatives. beta = 20 keeps the knee (about 1 / beta of a pre-activation) wide enough to train, unlike IDR's 100.
+    """
+
+    def __init__(self, inputs: int, outputs: int, *, width: int, depth: int, beta: float = 20.0):
+        super().__init__()
+        sizes = [inputs] + [width] * depth
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
+        self.out = nn.Linear(width, outputs)
+        self.beta = beta
+        for layer in self.hidden:
+            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+            nn.init.zeros_(layer.bias)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, x: Float[Tensor, "N I"]) -> Float[Tensor, "N O"]:
+        """Apply the layers."""
+        for layer in self.hidden:
+            x = nn.functional.softplus(layer(x), beta=self.beta)
+        return self.out(x)
+
+
+def with_code(x: Float[Tensor, "N D"], code: Float[Tensor, "..."]) -> Float[Tensor, "N E"]:
+    """Append a latent code to every point: `code` is (Z,) for one scene or (N, Z) for one scene a point."""
+    return torch.cat([x, code.expand(len(x), code.shape[-1])], -1)

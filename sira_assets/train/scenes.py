@@ -1,0 +1,199 @@
+"""Scenes on disk to training samples.
+
+Notation: everything in the canonical frame and network units (UNIT_M metres); n outward unit normals; v unit
+directions from the surface to the camera; rgb linear radiance of the photo; d signed distance, negative inside.
+"""
+
+import hashlib
+import json
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from sira_assets.atomic import replacing
+from sira_assets.errors import InputError
+from sira_assets.fields.head_field import BOUNDS_M
+from sira_assets.fields.mlp import UNIT_M
+from sira_assets.mesh.raycast import Raycaster
+from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
+from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, transform_points
+from sira_assets.scene.image import read_image, read_mask
+from sira_assets.scene.read_scene import read_frames
+
+
+@dataclass(frozen=True)
+class SceneSamples:
+    """One scene, ready to be drawn from. Lengths: S surface, V volume, P pixels, A anchors."""
+
+    surface: np.ndarray  # (S, 3)
+    surface_normals: np.ndarray  # (S, 3)
+    volume: np.ndarray  # (V, 3)
+    volume_sdf: np.ndarray  # (V,)
+    anchors: np.ndarray  # (A, 3), the same A points of every head
+    pixels: np.ndarray  # (P, 3) surface points seen by the views
+    pixel_normals: np.ndarray  # (P, 3)
+    pixel_view: np.ndarray  # (P, 3)
+    pixel_rgb: np.ndarray  # (P, 3)
+    pixel_diffuse: np.ndarray  # (P, 3) exact linear albedo; NaN where the scene has none
+    pixel_specular: np.ndarray  # (P,) exact F0; NaN where the scene has none
+
+
+@dataclass(frozen=True)
+class SampleConfig:
+    """How many samples a scene keeps. Near-surface volume points have a gaussian offset of these two widths."""
+
+    surface: int = 12000
+    near: int = 8000
+    far: int = 4000
+    pixels_per_view: int = 1500
+    near_sigma_m: tuple[float, float] = (0.003, 0.015)
+
+
+def list_scenes(folder: Path) -> list[Path]:
+    """Complete scenes below `folder`, sorted by name.
+
+    Raises
+    ------
+    InputError : none there.
+    """
+    found = sorted(path.parent for path in Path(folder).glob("*/transforms.json"))
+    if not found:
+        raise InputError(
+            expected=f"a folder of scenes (each with transforms.json) at {folder}",
+            received="none",
+            remedy="make some: python tools/make_scenes.py --count 240 --out DIR",
+        )
+    return found
+
+
+def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
+    """Draw a scene's samples from its true mesh and its views; the same seed gives the same samples.
+
+    Raises
+    ------
+    InputError : the scene has no gt/mesh.ply, or no canonical frame.
+    """
+    import trimesh
+
+    path = scene / "gt" / "mesh.ply"
+    description = json.loads((scene / "transforms.json").read_text())
+    if not path.exists() or "canonical_from_world" not in description:
+        raise InputError(
+            expected="a scan to train on: gt/mesh.ply and canonical_from_world",
+            received=f"{scene} without them",
+            remedy="use scenes written by tools/make_scenes.py",
+        )
+    rng = np.random.default_rng([seed, int.from_bytes(hashlib.sha256(scene.name.encode()).digest()[:4], "big")])
+    to_canonical = np.array(description["canonical_from_world"], np.float64)
+    loaded = trimesh.load(path, process=False)
+    mesh = TriangleMesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)).transformed(to_canonical)
+    caster = Raycaster(mesh)
+
+    surface, normals = _on_surface(mesh, config.surface, rng)
+    near, _ = _on_surface(mesh, config.near, rng)
+    sigma = np.where(rng.random(config.near) < 0.6, *config.near_sigma_m)[:, None]
+    volume = np.concatenate([near + sigma * rng.normal(size=near.shape), rng.uniform(*BOUNDS_M, (config.far, 3))])
+    anchors = json.loads((scene / "gt" / "landmarks.json").read_text())["anchors_m"]
+    unit = 1.0 / UNIT_M
+    pixels = [
+        _seen_pixels(frame, scene if i == 0 else None, to_canonical, mesh, caster, config.pixels_per_view, rng)
+        for i, frame in enumerate(read_frames(scene))
+    ]
+    position, normal, view, rgb, diffuse, specular = (
+        np.concatenate(c).astype(np.float32) for c in zip(*pixels, strict=True)
+    )
+    return SceneSamples(
+        surface=(surface * unit).astype(np.float32),
+        surface_normals=normals.astype(np.float32),
+        volume=(volume * unit).astype(np.float32),
+        volume_sdf=(caster.signed_distance(volume) * unit).astype(np.float32),
+        anchors=(transform_points(to_canonical, np.array(anchors)) * unit).astype(np.float32),
+        pixels=position * np.float32(unit),
+        pixel_normals=normal,
+        pixel_view=view,
+        pixel_rgb=rgb,
+        pixel_diffuse=diffuse,
+        pixel_specular=specular,
+    )
+
+
+def _on_surface(mesh, count, rng):
+    """`count` points and normals of a mesh: half by area, half on the face, a tenth of the area where mm count."""
+    area = 0.5 * np.linalg.norm(face_cross_products(mesh.vertices, mesh.faces), axis=1)
+    centre = mesh.vertices[mesh.faces].mean(1)
+    face = np.linalg.norm(centre - np.array(CANONICAL_LANDMARKS_M["nose_tip"]), axis=1) < 0.1
+    weight = area / area.sum() + np.where(face, area, 0.0) / max(area[face].sum(), 1e-12)
+    chosen = rng.choice(len(area), count, p=weight / weight.sum())
+    barycentric = rng.dirichlet(np.ones(3), count)
+    return _mix(mesh.vertices, mesh.faces[chosen], barycentric), _unit(
+        _mix(mesh.normals, mesh.faces[chosen], barycentric)
+    )
+
+
+def _mix(values, corners, barycentric):
+    return (values[corners] * barycentric[..., None]).sum(1)
+
+
+def _unit(x):
+    return x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+
+
+def _seen_pixels(frame, truth, to_canonical, mesh, caster, count, rng):
+    """Surface points behind `count` random pixels of a view, with radiance and, where `truth` has maps, material."""
+    image, mask = read_image(frame.image_path).linear, read_mask(frame.mask_path)
+    rows, cols = np.nonzero(mask)
+    keep = rng.permutation(len(rows))[:count]
+    rows, cols = rows[keep], cols[keep]
+    origins, directions = frame.camera.rays_world(np.stack([cols + 0.5, rows + 0.5], 1))
+    directions = _unit(directions @ to_canonical[:3, :3].T)
+    hits = caster.cast(transform_points(to_canonical, origins), directions)
+    ok = hits.hit
+    rows, cols, corners, barycentric = rows[ok], cols[ok], mesh.faces[hits.face[ok]], hits.barycentric[ok]
+    diffuse, specular = np.full((len(rows), 3), np.nan), np.full(len(rows), np.nan)
+    if truth is not None and (truth / "gt" / "albedo.exr").exists():
+        diffuse = read_image(truth / "gt" / "albedo.exr").linear[rows, cols]
+        specular = 0.04 * read_image(truth / "gt" / "specular.exr").linear[rows, cols].mean(-1)
+    return (
+        _mix(mesh.vertices, corners, barycentric),
+        _unit(_mix(mesh.normals, corners, barycentric)),
+        -directions[ok],
+        image[rows, cols],
+        diffuse,
+        specular,
+    )
+
+
+def load_samples(
+    folder: Path, *, config: SampleConfig = SampleConfig(), seed: int = 0, workers: int = 2, progress=None
+):
+    """Samples of every scene below `folder`, drawn once and kept beside the scenes in `.samples/`.
+
+    Returns
+    -------
+    list of SceneSamples, in the order of `list_scenes`.
+    """
+    scenes = list_scenes(folder)
+    key = hashlib.sha256(json.dumps([asdict(config), seed]).encode()).hexdigest()[:12]
+    paths = [Path(folder) / ".samples" / f"{scene.name}-{key}.npz" for scene in scenes]
+    missing = [(scene, path, config, seed) for scene, path in zip(scenes, paths, strict=True) if not path.exists()]
+    if missing:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            for _ in pool.map(_sample_to_file, missing):
+                if progress is not None:
+                    progress()
+    return [_read_samples(path) for path in paths]
+
+
+def _sample_to_file(job):
+    scene, path, config, seed = job
+    samples = sample_scene(scene, config, seed)
+    with replacing(path) as temporary:
+        np.savez(temporary, **{field.name: getattr(samples, field.name) for field in fields(samples)})
+
+
+def _read_samples(path):
+    with np.load(path, allow_pickle=False) as data:
+        return SceneSamples(**{field.name: data[field.name] for field in fields(SceneSamples)})
