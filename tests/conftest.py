@@ -1,4 +1,4 @@
-"""Shared fixtures. Real heads are found through SIRA_TEST_DATA; without them those tests are skipped, with the reason."""
+"""Shared fixtures. Real heads are found through SIRA_TEST_DATA; without them those tests skip, with the reason."""
 
 import os
 from pathlib import Path

@@ -145,6 +145,31 @@ def strokes_field(t: Template, x_mm: Tensor) -> Tensor:
     return torch.exp(-0.5 * (local**2).sum(-1)) @ height
 
 
+def strokes_near(t: Template, centre_mm: Tensor, radius_mm: float, reach: float = 4.2) -> Template:
+    """The template with only the strokes that reach into a ball; what is left out is below ``exp(-reach^2/2)`` there."""
+    p = t.strokes
+    folded = torch.cat([centre_mm[:1].abs(), centre_mm[1:]])
+    frame = rotation_matrices(p.rotation)
+    inverse = torch.exp(-p.log_size)
+    # the ball is as wide, in units of the spread along any axis, as radius over the smallest spread that matters
+    nearest = torch.zeros(len(p.name), dtype=torch.bool)
+    for side in (1.0, -1.0):
+        offset = folded * torch.tensor([side, 1.0, 1.0], dtype=p.centre_mm.dtype) - p.centre_mm
+        local = torch.einsum("mj,mjk->mk", offset, frame).abs()
+        inside = torch.clamp(local - radius_mm, min=0.0) * inverse
+        nearest |= (inside**2).sum(-1) < reach**2
+    keep = torch.nonzero(nearest)[:, 0]
+    strokes = Primitives(
+        tuple(p.name[i] for i in keep.tolist()),
+        p.paired[keep],
+        p.centre_mm[keep],
+        p.log_size[keep],
+        p.rotation[keep],
+        p.weight[keep],
+    )
+    return Template(t.masses, strokes, t.eyeball, t.lids, t.floor_mm)
+
+
 def eyeball_field(t: Template, x_mm: Tensor) -> Tensor:
     """Both eyeballs (mirrored by |x|). (N, 3) -> (N,) millimetres."""
     mirrored = torch.cat([x_mm[:, :1].abs(), x_mm[:, 1:]], -1)

@@ -1,4 +1,4 @@
-"""Batches of training samples: all scenes stacked in memory, drawn by (seed, step) alone, so a resumed run sees the same.
+"""Batches of training samples: all scenes stacked in memory, drawn by (seed, step) alone, so that runs resume exactly.
 
 Notation: N scenes; B scenes a batch; every tensor is (N, count, ...) in network units.
 """
