@@ -121,7 +121,7 @@ def _closed_sdf(field: HeadField, points: np.ndarray, device: str) -> np.ndarray
     if bad.any():
         raise InputError(
             expected="a finite signed distance everywhere in the head's box",
-            received=f"{int(bad.sum())} of {len(sdf)} values not finite, the first at {inside[bad][0].round(4).tolist()}",
+            received=f"{int(bad.sum())} of {len(sdf)} not finite, the first at {inside[bad][0].round(4).tolist()}",
             remedy="the weights are damaged or the fit diverged; fit again",
         )
     return np.maximum(sdf, bounds_sdf(points))
