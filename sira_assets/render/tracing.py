@@ -105,7 +105,7 @@ def _trace_chunk(sdf, origins, directions, low, high, config):
         t[index] = t[index] + config.relaxation * f[going].clamp_min(config.tolerance)
         active = index[t[index] < far[index]]
     undecided = active
-    # A crossing found by stepping has its bracket; the first sample of a ray may already be inside (a camera in a head).
+    # A crossing found by stepping has its bracket, unless the first sample was inside (a camera in a head).
     bracketed = torch.nonzero(crossed & torch.isfinite(f_previous))[:, 0]
     hit[crossed] = True
     if len(undecided):

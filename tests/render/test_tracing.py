@@ -58,7 +58,7 @@ def test_misses_give_the_nearest_point_of_the_ray():
     # Steps are at least half the distance, so the nearest sample is within about that distance of the nearest point,
     # and the distance there, being at a minimum, is right to second order.
     f = sphere((o + hits.t[:, None] * d)[miss])
-    f_true = sphere((o[miss] + nearest[:, None] * d[miss]))
+    f_true = sphere(o[miss] + nearest[:, None] * d[miss])
     assert (f - f_true).max() < 0.15
 
 
