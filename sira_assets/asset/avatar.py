@@ -1,7 +1,7 @@
 """The finished avatar: what the bake made, ready for the writers.
 
-Notation: world is the scene's own frame, in its own unit; one world unit is `metres_per_unit` metres. F0 is the specular
-albedo at normal incidence.
+Notation: world is the scene's own frame, in its own unit; one world unit is `metres_per_unit` metres. F0 is the
+specular albedo at normal incidence.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Avatar:
     ----------
     mesh : welded triangles in the scene's world coordinates, untouched
     atlas : one row of `faces_uv` for every face of `mesh`
-    textures : square maps of one size, finite
+    textures : the baked maps over that atlas
     light : spherical gaussians, world frame
     roughness : in (0, 1], glTF's roughnessFactor (GGX alpha is its square)
     canonical_from_world : (4, 4) similarity into the canonical head frame
@@ -32,7 +32,7 @@ class Avatar:
 
     Raises
     ------
-    InputError : mesh and atlas disagree, a map has another size or a value that is not finite, roughness out of range.
+    InputError : no triangles, an atlas of another mesh, roughness or unit out of range.
     """
 
     mesh: TriangleMesh
@@ -54,26 +54,9 @@ class Avatar:
                 received=f"{len(faces_uv)} faces",
                 remedy="unwrap the mesh that is exported",
             )
-        if not np.isfinite(self.atlas.uv).all():
-            raise InputError(expected="finite texture coordinates", received="NaN or inf", remedy="unwrap again")
         if not 0.0 < self.roughness <= 1.0:
             raise InputError(expected="a roughness in (0, 1]", received=f"{self.roughness}", remedy="correct it")
         if not (np.isfinite(self.metres_per_unit) and self.metres_per_unit > 0):
             raise InputError(
                 expected="metres_per_unit > 0", received=f"{self.metres_per_unit}", remedy="correct it in the scene"
             )
-        maps = self.textures
-        size = maps.diffuse.shape[0]
-        for what, array, tail in (
-            ("diffuse", maps.diffuse, (3,)),
-            ("specular_f0", maps.specular_f0, ()),
-            ("normal_tangent", maps.normal_tangent, (3,)),
-            ("irradiance", maps.irradiance, (3,)),
-            ("coverage", maps.coverage, ()),
-        ):
-            if array.shape != (size, size, *tail) or not np.isfinite(array).all():
-                raise InputError(
-                    expected=f"a finite {what} map of shape {(size, size, *tail)}",
-                    received=f"{array.shape}" + ("" if np.isfinite(array).all() else " with NaN or inf"),
-                    remedy="bake again",
-                )

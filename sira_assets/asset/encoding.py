@@ -1,7 +1,7 @@
 """How each map becomes 8-bit texels, and back: docs/formats.md in code.
 
-Notation: c an 8-bit code in 0..255; a linear diffuse albedo; s specular albedo (F0) with s = 0.04 ks; n a unit normal in
-the tangent frame (x along +u, y along +v, z outward). Codes are rounded to the nearest, never truncated: truncation
+Notation: c an 8-bit code in 0..255; a linear diffuse albedo; s specular albedo (F0) with s = 0.04 ks; n a unit normal
+in the tangent frame (x along +u, y along +v, z outward). Codes are rounded to the nearest, never truncated: truncation
 would darken every map by half a step.
 """
 

@@ -78,8 +78,8 @@ def _material(avatar: Avatar, file: GlbFile) -> dict:
         text = {"Description": "tangent-space normal (n + 1) / 2, linear, +Y up"}
         material["normalTexture"] = {"index": file.add_texture(encode_png(normal, text), "normal")}
 
-    # F0 with F90 = 1 is specularColor; specularFactor would scale F90 too. glTF's F0 is 0.04 * factor * texture, and the
-    # factor may pass 1, so S / 0.04 there keeps the texture within 8 bits whatever the range of s.
+    # F0 with F90 = 1 is specularColor; specularFactor would scale F90 too. glTF's F0 is 0.04 * factor * texture, and
+    # the factor may pass 1, so S / 0.04 there keeps the texture within 8 bits whatever the range of s.
     largest = float(np.clip(maps.specular_f0[used], 0.0, 1.0).max())
     extension: dict = {}
     codes = encode_srgb(maps.specular_f0 / largest) if largest > 0 else np.zeros(used.shape, np.uint8)
