@@ -4,6 +4,7 @@ Everything read is linear Rec. 709 float32, upright as the picture is meant to b
 capped before any pixel is decoded.
 """
 
+import contextlib
 import io
 import warnings
 from dataclasses import dataclass
@@ -17,10 +18,11 @@ from sira_assets.numerics.colour import linear_from_srgb
 from sira_assets.scene.exr import exr_size, read_exr, write_exr
 from sira_assets.scene.png16 import is_png16, png_size, read_png16, write_png16
 
-__all__ = ["ImageFile", "orient", "read_image", "read_mask", "write_exr", "write_png"]
+__all__ = ["ImageFile", "image_size", "orient", "read_image", "read_mask", "write_exr", "write_png"]
 
 # 8192 x 8192: more than any phone takes at its main setting; some 4 GB once a fit holds its few float copies.
 MAX_PIXELS = 1 << 26
+EXR_MAGIC = b"\x76\x2f\x31\x01"
 EXIF_ORIENTATION, EXIF_IFD, EXIF_FOCAL_35MM = 0x0112, 0x8769, 0xA405
 
 
@@ -68,54 +70,63 @@ def _check_size(path: Path, width: int, height: int) -> None:
         )
 
 
-def _read_samples(path: Path) -> tuple[np.ndarray, str, int, float | None, tuple[str, ...]]:
-    """Upright samples (H, W, C), encoding, orientation, focal length and warnings of any supported file."""
+def _head(path: Path) -> bytes:
     if not path.is_file():
         raise InputError(expected=f"an image at {path}", received="no such file", remedy="check the path")
     with open(path, "rb") as file:
-        head = file.read(32)
-    if head[:4] == b"\x76\x2f\x31\x01":
+        return file.read(32)
+
+
+def _read_samples(path: Path) -> tuple[np.ndarray, str, int, float | None, tuple[str, ...]]:
+    """Upright samples (H, W, C), encoding, orientation, focal length and warnings of any supported file."""
+    head = _head(path)
+    if head[:4] == EXR_MAGIC:
         _check_size(path, *exr_size(path))
         pixels = read_exr(path)
         return pixels.reshape(*pixels.shape[:2], -1), "linear", 1, None, ()
     if is_png16(head):
         _check_size(path, *png_size(head))
         return read_png16(path), "srgb16", 1, None, ()
-    return _read_8bit(path)
+    with _pillow(path) as file:
+        _check_size(path, *file.size)
+        exif = file.getexif()
+        focal = exif.get_ifd(EXIF_IFD).get(EXIF_FOCAL_35MM)
+        orientation = exif.get(EXIF_ORIENTATION, 1)
+        file.load()
+        encoding = "jpeg" if file.format in ("JPEG", "MPO") else "srgb8"
+        has_alpha = file.mode in ("RGBA", "LA", "PA") or "transparency" in file.info
+        picture, said = _to_srgb(file, path)
+        grey = file.mode in ("1", "L") and not has_alpha
+        pixels = np.array(picture.convert("L" if grey else "RGBA" if has_alpha else "RGB"))
+    orientation = orientation if orientation in range(1, 9) else 1
+    pixels = orient(pixels.reshape(*pixels.shape[:2], -1), orientation)
+    return pixels, encoding, orientation, float(focal) if focal else None, said
 
 
-def _read_8bit(path: Path) -> tuple[np.ndarray, str, int, float | None, tuple[str, ...]]:
-    from PIL import Image, UnidentifiedImageError
+@contextlib.contextmanager
+def _pillow(path: Path):
+    """Open a picture with Pillow; whatever it makes of a bad one becomes an `InputError`."""
+    from PIL import Image
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of sizes; the cap below decides
+            warnings.simplefilter("ignore")  # Pillow warns of sizes; our cap decides
             with Image.open(path) as file:
-                _check_size(path, *file.size)
-                exif = file.getexif()
-                focal = exif.get_ifd(EXIF_IFD).get(EXIF_FOCAL_35MM)
-                orientation = exif.get(EXIF_ORIENTATION, 1)
-                file.load()
-                encoding = "jpeg" if file.format in ("JPEG", "MPO") else "srgb8"
-                has_alpha = file.mode in ("RGBA", "LA", "PA") or "transparency" in file.info
-                picture, said = _to_srgb(file, path)
-                grey = file.mode in ("1", "L") and not has_alpha
-                pixels = np.array(picture.convert("L" if grey else "RGBA" if has_alpha else "RGB"))
+                yield file
+    except InputError:
+        raise
     except Image.DecompressionBombError:
         raise InputError(
             expected=f"an image of at most {MAX_PIXELS >> 20} megapixels at {path}",
             received="a header that claims several times that",
             remedy="make it smaller",
         ) from None
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, EOFError) as error:
+    except (OSError, SyntaxError, ValueError, EOFError) as error:
         raise InputError(
             expected=f"a whole EXR, PNG or JPEG image at {path}",
             received=" ".join(str(error).split())[:120],
             remedy="copy or export it again",
         ) from None
-    orientation = orientation if orientation in range(1, 9) else 1
-    pixels = orient(pixels.reshape(*pixels.shape[:2], -1), orientation)
-    return pixels, encoding, orientation, float(focal) if focal else None, said
 
 
 def _to_srgb(picture, path: Path):
@@ -135,6 +146,26 @@ def _to_srgb(picture, path: Path):
         return picture, (f"{path.name}: converted from colour profile '{name}' to sRGB",)
     except (ImageCms.PyCMSError, OSError, ValueError):
         return picture, (f"{path.name}: unreadable colour profile, taken as sRGB",)
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of a picture as seen (EXIF orientation applied), from its header.
+
+    Raises
+    ------
+    InputError : missing, of an unknown format, truncated within the header, or larger than `MAX_PIXELS`.
+    """
+    path = Path(path)
+    head = _head(path)
+    if head[:4] == EXR_MAGIC:
+        size = exr_size(path)
+    elif is_png16(head):
+        size = png_size(head)
+    else:
+        with _pillow(path) as file:
+            size = file.size if file.getexif().get(EXIF_ORIENTATION, 1) < 5 else file.size[::-1]
+    _check_size(path, *size)
+    return size
 
 
 def read_image(path: str | Path) -> ImageFile:
