@@ -19,8 +19,8 @@ def run(body: Callable[[], int | None]) -> int:
 
     Returns
     -------
-    0, 3 or 130 as above, or what `body` returned. Any other exception passes through with its traceback: it is a defect,
-    not the user's mistake.
+    0, 3 or 130 as above, or what `body` returned. Any other exception passes through with its traceback: it is a
+    defect, not the user's mistake.
     """
     from sira_assets.errors import InputError, MissingExtraError
 
