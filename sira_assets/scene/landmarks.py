@@ -98,9 +98,8 @@ def landmarks_from_json(data: object, where: str) -> Landmarks:
         return Landmarks()
     entries = {name: data[name] for name in CANONICAL_LANDMARKS_M if isinstance(data.get(name), dict)}
     pixels = data.get("landmarks_2d", {n: e["pixel"] for n, e in entries.items() if "pixel" in e})
-    points = data.get(
-        "landmarks_m", data.get("landmarks_3d", {n: e["xyz_m"] for n, e in entries.items() if "xyz_m" in e})
-    )
+    points = data.get("landmarks_m", data.get("landmarks_3d"))
+    points = {n: e["xyz_m"] for n, e in entries.items() if "xyz_m" in e} if points is None else points
     return Landmarks(_named(pixels, 2, where) if pixels else {}, _named(points, 3, where) if points else {})
 
 

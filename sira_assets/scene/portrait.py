@@ -22,6 +22,7 @@ class Portrait:
     saturated : (H, W) bool, True where the file's encoding clipped the pixel
     name : for reports
     metres_per_unit : length of one world unit in metres
+    pose_is_estimated : canonical_from_world came from 2D landmarks, so the fit should refine it
     warnings : what the reader had to assume or mend, one line each
     """
 
@@ -32,6 +33,7 @@ class Portrait:
     saturated: np.ndarray
     name: str = "portrait"
     metres_per_unit: float = 1.0
+    pose_is_estimated: bool = False
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self):

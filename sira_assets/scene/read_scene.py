@@ -105,7 +105,9 @@ def read_scene(
         raise InputError(expected="--focal-px > 0", received=f"{focal_px}", remedy="give pixels of this picture")
     if fov_deg is not None and not 0 < fov_deg < 180:
         raise InputError(
-            expected="--fov between 0 and 180 degrees", received=f"{fov_deg}", remedy="give the horizontal"
+            expected="--fov between 0 and 180 degrees",
+            received=f"{fov_deg}",
+            remedy="give the horizontal field of view",
         )
     if focal_px is not None and fov_deg is not None:
         raise InputError(expected="--focal-px or --fov", received="both", remedy="give one of them")
