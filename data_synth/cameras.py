@@ -1,7 +1,7 @@
 """Portrait cameras and the head's pose in the world, drawn by seed.
 
 Notation: yaw turns the camera around the head from the front (+Z) towards the subject's left (+X), pitch lifts it. One
-pinhole camera takes every view of a scene, so its focal length is the scene's; distance varies a little from view to view.
+pinhole camera takes every view of a scene, so its focal length is the scene's; the distance varies from view to view.
 """
 
 from dataclasses import dataclass

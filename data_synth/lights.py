@@ -55,63 +55,92 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 def _white(rng: np.random.Generator) -> np.ndarray:
     """A white between tungsten and skylight."""
     t = rng.uniform(-1.0, 1.0)
-    return NEUTRAL + (WARM - NEUTRAL) * max(-t, 0.0) ** 1.5 + (COOL - NEUTRAL) * max(t, 0.0) ** 1.5
+    return WARM ** (-t) if t < 0 else COOL**t
+
+
+def _tint(rng: np.random.Generator, colour: np.ndarray, most: float) -> np.ndarray:
+    """White, tinted towards `colour` by up to `most` of its saturation."""
+    return colour ** rng.uniform(0.0, most)
+
+
+def _lamp(rng, azimuth, elevation, sharpness, power, colour, *, side: float = 1.0) -> Lamp:
+    """Draw a lamp from (low, high) ranges; sharpness is drawn on a logarithmic scale, `side` mirrors the azimuth."""
+    return Lamp(
+        side * rng.uniform(*azimuth),
+        rng.uniform(*elevation),
+        _log_uniform(rng, *sharpness),
+        rng.uniform(*power),
+        colour,
+    )
 
 
 def _ambient(rng: np.random.Generator, low: float, high: float) -> Lamp:
     """A weak lobe so broad that it has next to no direction."""
-    return Lamp(rng.uniform(-180, 180), rng.uniform(0, 90), _log_uniform(rng, 0.05, 1.0), rng.uniform(low, high), _white(rng))  # fmt: skip
+    return _lamp(rng, (-180, 180), (0, 90), (0.05, 1.0), (low, high), _white(rng))
+
+
+def _ground(rng: np.random.Generator, low: float, high: float) -> Lamp:
+    """What the floor throws back."""
+    return _lamp(rng, (0, 0), (-90, -80), (0.8, 2.0), (low, high), _tint(rng, WARM, 0.6))
 
 
 def _studio(rng: np.random.Generator) -> tuple[Lamp, ...]:
-    side, colour = rng.choice([-1.0, 1.0]), _white(rng)
-    key = Lamp(side * rng.uniform(10, 65), rng.uniform(10, 50), _log_uniform(rng, 8, 80), 1.0, colour)
-    fill = Lamp(-side * rng.uniform(15, 70), rng.uniform(-10, 30), _log_uniform(rng, 2, 12), rng.uniform(0.15, 0.6), _white(rng))  # fmt: skip
-    lamps = [key, fill, _ambient(rng, 0.05, 0.25)]
+    side = rng.choice([-1.0, 1.0])
+    lamps = [
+        _lamp(rng, (10, 65), (10, 50), (8, 80), (1, 1), _white(rng), side=side),
+        _lamp(rng, (15, 70), (-10, 30), (2, 12), (0.15, 0.6), _white(rng), side=-side),
+        _ambient(rng, 0.05, 0.25),
+    ]
     if rng.random() < 0.7:
-        lamps.append(Lamp(-side * rng.uniform(120, 170), rng.uniform(10, 50), _log_uniform(rng, 20, 120), rng.uniform(0.4, 1.5), _white(rng)))  # fmt: skip
+        lamps.append(_lamp(rng, (120, 170), (10, 50), (20, 120), (0.4, 1.5), _white(rng), side=-side))
     return tuple(lamps)
 
 
 def _window(rng: np.random.Generator) -> tuple[Lamp, ...]:
     side = rng.choice([-1.0, 1.0])
-    window = Lamp(side * rng.uniform(25, 95), rng.uniform(0, 35), _log_uniform(rng, 2, 12), 1.0, COOL ** rng.uniform(0, 1))  # fmt: skip
-    bounce = Lamp(-side * rng.uniform(30, 110), rng.uniform(-20, 20), _log_uniform(rng, 1, 3), rng.uniform(0.1, 0.35), WARM ** rng.uniform(0, 0.8))  # fmt: skip
-    return window, bounce, _ambient(rng, 0.05, 0.2)
+    return (
+        _lamp(rng, (25, 95), (0, 35), (2, 12), (1, 1), _tint(rng, COOL, 1.0), side=side),
+        _lamp(rng, (30, 110), (-20, 20), (1, 3), (0.1, 0.35), _tint(rng, WARM, 0.8), side=-side),
+        _ambient(rng, 0.05, 0.2),
+    )
 
 
 def _sun_and_sky(rng: np.random.Generator) -> tuple[Lamp, ...]:
-    sun = Lamp(rng.uniform(-100, 100), rng.uniform(15, 70), _log_uniform(rng, 150, 800), 1.0, WARM ** rng.uniform(0.1, 0.7))  # fmt: skip
-    sky = Lamp(rng.uniform(-180, 180), rng.uniform(60, 90), _log_uniform(rng, 0.7, 1.6), rng.uniform(0.25, 0.8), COOL)
-    ground = Lamp(0.0, -90.0, _log_uniform(rng, 0.8, 2.0), rng.uniform(0.05, 0.25), WARM**0.5)
-    return sun, sky, ground
+    return (
+        _lamp(rng, (-100, 100), (15, 70), (150, 800), (1, 1), _tint(rng, WARM, 0.7)),
+        _lamp(rng, (-180, 180), (60, 90), (0.7, 1.6), (0.25, 0.8), COOL),
+        _ground(rng, 0.05, 0.25),
+    )
 
 
 def _overcast(rng: np.random.Generator) -> tuple[Lamp, ...]:
-    dome = Lamp(rng.uniform(-180, 180), rng.uniform(50, 90), _log_uniform(rng, 0.8, 2.5), 1.0, COOL ** rng.uniform(0, 0.6))  # fmt: skip
-    front = Lamp(rng.uniform(-60, 60), rng.uniform(0, 40), _log_uniform(rng, 1, 4), rng.uniform(0.2, 0.7), _white(rng))
-    return dome, front, Lamp(0.0, -90.0, 1.2, rng.uniform(0.05, 0.2), WARM**0.3)
+    return (
+        _lamp(rng, (-180, 180), (50, 90), (0.8, 2.5), (1, 1), _tint(rng, COOL, 0.6)),
+        _lamp(rng, (-60, 60), (0, 40), (1, 4), (0.2, 0.7), _white(rng)),
+        _ground(rng, 0.05, 0.2),
+    )
 
 
 def _coloured(rng: np.random.Generator) -> tuple[Lamp, ...]:
-    lamps = [_ambient(rng, 0.1, 0.3), Lamp(rng.uniform(-50, 50), rng.uniform(0, 40), _log_uniform(rng, 3, 20), rng.uniform(0.3, 0.8), NEUTRAL)]  # fmt: skip
+    lamps = [_ambient(rng, 0.1, 0.3), _lamp(rng, (-50, 50), (0, 40), (3, 20), (0.3, 0.8), NEUTRAL)]
     for side in (-1.0, 1.0):
-        colour = 0.25 + rng.dirichlet(np.full(3, 0.8)) * 2.0
-        lamps.append(Lamp(side * rng.uniform(25, 130), rng.uniform(-15, 45), _log_uniform(rng, 5, 40), rng.uniform(0.4, 1.0), colour))  # fmt: skip
+        colour = 0.25 + 2.0 * rng.dirichlet(np.full(3, 0.8))
+        lamps.append(_lamp(rng, (25, 130), (-15, 45), (5, 40), (0.4, 1.0), colour, side=side))
     return tuple(lamps)
 
 
 def _harsh(rng: np.random.Generator) -> tuple[Lamp, ...]:
-    lamps = [Lamp(rng.uniform(-75, 75), rng.uniform(-5, 60), _log_uniform(rng, 80, 600), 1.0, _white(rng)), _ambient(rng, 0.02, 0.1)]  # fmt: skip
+    lamps = [_lamp(rng, (-75, 75), (-5, 60), (80, 600), (1, 1), _white(rng)), _ambient(rng, 0.02, 0.1)]
     if rng.random() < 0.5:
-        lamps.append(Lamp(rng.uniform(-150, 150), rng.uniform(-10, 50), _log_uniform(rng, 60, 400), rng.uniform(0.2, 0.9), _white(rng)))  # fmt: skip
+        lamps.append(_lamp(rng, (-150, 150), (-10, 50), (60, 400), (0.2, 0.9), _white(rng)))
     return tuple(lamps)
 
 
 def _anywhere(rng: np.random.Generator) -> tuple[Lamp, ...]:
-    lamps = [_ambient(rng, 0.05, 0.3), Lamp(rng.uniform(-60, 60), rng.uniform(-10, 50), _log_uniform(rng, 3, 60), 0.8, _white(rng))]  # fmt: skip
-    for _ in range(rng.integers(1, 7)):
-        lamps.append(Lamp(rng.uniform(-180, 180), rng.uniform(-30, 80), _log_uniform(rng, 1.5, 100), rng.uniform(0.05, 0.7), _white(rng)))  # fmt: skip
+    lamps = [_ambient(rng, 0.05, 0.3), _lamp(rng, (-60, 60), (-10, 50), (3, 60), (0.8, 0.8), _white(rng))]
+    lamps += [
+        _lamp(rng, (-180, 180), (-30, 80), (1.5, 100), (0.05, 0.7), _white(rng)) for _ in range(rng.integers(1, 7))
+    ]
     return tuple(lamps)
 
 

@@ -97,7 +97,7 @@ class _Hits:
 class RayScene:
     """A surface made ready for rays; build once, render many views.
 
-    Rays are cast in single precision relative to the surface's own centre, so a world far from the origin costs nothing.
+    Rays are cast in single precision relative to the surface's own centre: a world far from the origin costs nothing.
     """
 
     def __init__(self, surface: Surface, *, threads: int = 1):

@@ -73,7 +73,7 @@ def direct_light(
     diffuse : (P, 3) albedo, linear
     specular_f0 : (P,) F0 = 0.04 ks
     light : in the frame of the normals; sharpness up to 1e6 keeps a relative error below 1e-3 in float32
-    occluded : function of (indices (K,), directions (K, 3) float32) -> (K,) bool, True where that point's ray is blocked
+    occluded : function of (indices (K,), directions (K, 3) float32) -> (K,) bool, True where the ray is blocked
     rotations : (P, 3) in [0, 1), the Cranley-Patterson shift of each point's sequence
     roughness : in [0.05, 1]
     directions : N >= 1
@@ -104,7 +104,7 @@ def direct_light(
 
 
 def strategy_shares(energy: np.ndarray, sharpness: np.ndarray, specular_f0: np.ndarray) -> np.ndarray:
-    """Probability of each strategy at each point: M lobes, the cosine, the highlight; (P, M + 2) float32, rows sum to 1.
+    """Probability of each strategy at each point: M lobes, the cosine, the highlight; (P, M + 2) float32.
 
     Lobes get 70 % by the light they bring to the point and 30 % evenly among those that bring any, so that what
     remains after the strongest lamp is in shadow is sampled too.
@@ -175,7 +175,7 @@ def _from_local(axis: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -
 
 
 def _integrate(n, v, w, shares, specular_f0, light, occluded, start, roughness):
-    """Sums over directions: diffuse with and without shadows (before albedo), specular with and without, (P, 3) each."""
+    """Sums over directions, (P, 3) each: diffuse (before albedo) with and without shadows, specular likewise."""
     lobes, count = len(light), w.shape[1]
     row, column = np.nonzero(np.einsum("pnk,pk->pn", w, n) > 1e-6)
     w = np.ascontiguousarray(w[row, column])
