@@ -17,9 +17,9 @@ from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M
 
 MIN_LANDMARKS = 6  # 12 equations for 6 unknowns; with fewer, one wrong point goes unnoticed
 
-# A landmark's expected miss, in canonical metres: the spread of people (root mean square over the axes, 2000 identities of
-# ICT-FaceKit brought to the canonical frame: 1.1 to 2.2 mm) and, in quadrature, that of a detector (about 2 mm; 6 mm at
-# the chin, which detectors place worst).
+# A landmark's expected miss, in canonical metres: the spread of people (root mean square over the axes, 2000 identities
+# of ICT-FaceKit brought to the canonical frame: 1.1 to 2.2 mm) and, in quadrature, that of a detector (about 2 mm; 6 mm
+# at the chin, which detectors place worst).
 LANDMARK_SPREAD_M: Mapping[str, float] = {
     "right_eye_outer": 0.0024,
     "right_eye_inner": 0.0023,

@@ -107,7 +107,7 @@ def read_scene(
         raise InputError(
             expected="--fov between 0 and 180 degrees",
             received=f"{fov_deg}",
-            remedy="give the horizontal field of view",
+            remedy="give the horizontal angle",
         )
     if focal_px is not None and fov_deg is not None:
         raise InputError(expected="--focal-px or --fov", received="both", remedy="give one of them")
