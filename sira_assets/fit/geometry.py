@@ -1,0 +1,274 @@
+"""Single-view geometry (SIRA section 3.3, first step): phase A finds the codes, phase B frees the networks.
+
+Notation: as in fields/sa_sm.py and render/tracing.py; c coefficients of the codes' gaussians (sigma units), so |c|^2 is
+the prior's energy. The reference signed distance is never changed: it is what all heads share.
+"""
+
+import copy
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from sira_assets.fields.head_field import BOUNDS_M
+from sira_assets.fields.mlp import UNIT_M
+from sira_assets.fields.prior import Prior, freeze
+from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
+from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, silhouette_band
+from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.render.tracing import TraceConfig, differentiable_hit, sphere_trace
+from sira_assets.scene.portrait import Portrait
+
+
+@dataclass(frozen=True)
+class GeometryFitConfig:
+    """Steps, rays and weights.
+
+    Rays are kept and followed: each step moves a kept ray's hit by one Newton step, and all are traced anew every
+    `retrace` steps.
+    """
+
+    steps_appearance: int = 80
+    steps_codes: int = 260
+    steps_networks: int = 160
+    pool: int = 6000
+    band_pool: int = 2500
+    rays: int = 1000
+    band_rays: int = 400
+    retrace: int = 40
+    rate_codes: float = 0.04
+    rate_appearance_codes: float = 0.08
+    rate_pose: float = 0.004
+    rate_networks: float = 1.0e-4
+    colour: float = 1.0
+    silhouette: float = 0.5
+    # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
+    alpha: float = 50.0
+    prior: float = 3.0e-5
+    appearance_prior: float = 3.0e-6
+    eikonal: float = 0.05
+    # Phase B stays near phase A: squared change of the deformation over the surface and around it.
+    anchor: float = 5.0
+    pose: float = 2.0e-3
+    # A ray whose kept hit is further than this off the surface waits for the next retrace.
+    lost: float = 0.08
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class GeometryFit:
+    """What the geometry fit adds to a portrait.
+
+    Parameters
+    ----------
+    shape : SA-SM, its deformation and renderer fine-tuned, frozen
+    z_sdf, z_r : codes
+    canonical_from_world : (4, 4), refined where the portrait's was an estimate
+    history : (step, loss term means) every ten steps
+    pose_change_deg, pose_change_m : size of the refinement
+    """
+
+    shape: ShapeAppearanceModel
+    z_sdf: Float[Tensor, " Z"]
+    z_r: Float[Tensor, " Z"]
+    canonical_from_world: np.ndarray
+    history: tuple[tuple[int, dict[str, float]], ...]
+    pose_change_deg: float
+    pose_change_m: float
+    seconds: float
+
+
+class _KeptRays:
+    """A pool of rays with the hit that each had last."""
+
+    def __init__(self, rays: PixelRays, weight: Tensor):
+        self.rays, self.weight = rays, weight
+        self.t = torch.zeros(len(rays))
+        self.hit = torch.zeros(len(rays), dtype=torch.bool)
+
+    def retrace(self, model, z_sdf, pose, config=TraceConfig()):
+        low, high = (torch.tensor(b / UNIT_M, dtype=torch.float32) for b in BOUNDS_M)
+        with torch.no_grad():
+            origins, directions = corrected(pose, self.rays.origins, self.rays.directions)
+            hits = sphere_trace(lambda x: model(x, z_sdf)[0], origins, directions, low, high, config)
+        self.t, self.hit = hits.t, hits.hit
+
+    def draw(self, count, generator, where):
+        weight = self.weight * where
+        if not bool((weight > 0).any()):
+            return torch.zeros(0, dtype=torch.int64)
+        return torch.multinomial(weight, min(count, int((weight > 0).sum())), generator=generator)
+
+
+def fit_geometry(
+    portrait: Portrait,
+    prior: Prior,
+    config: GeometryFitConfig = GeometryFitConfig(),
+    *,
+    report: Callable[[int, int], None] = lambda step, steps: None,
+) -> GeometryFit:
+    """Fit SA-SM to one portrait.
+
+    Parameters
+    ----------
+    report : called with (steps done, steps in all)
+    """
+    started = time.monotonic()
+    c = config
+    generator = torch.Generator().manual_seed(c.seed)
+    model = copy.deepcopy(prior.shape)
+    freeze(model)
+    pool = mask_rays(portrait)
+    chosen = torch.multinomial(face_weight(pool), min(c.pool, len(pool)), generator=generator)
+    inside = _KeptRays(pool.select(chosen), torch.ones(len(chosen)))
+    band = pixel_rays(portrait, *silhouette_band(portrait))
+    chosen = torch.randperm(len(band), generator=generator)[: c.band_pool]
+    edge = _KeptRays(band.select(chosen), torch.ones(len(chosen)))
+
+    coefficients = nn.Parameter(torch.zeros(prior.z_sdf.basis.shape[1]))
+    appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1]))
+    pose = PoseCorrection(nn.Parameter(torch.zeros(3)), nn.Parameter(torch.zeros(3)))
+    codes = lambda: (prior.z_sdf.code(coefficients), prior.z_r.code(appearance))  # noqa: E731
+    fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator)
+    total = c.steps_appearance + c.steps_codes + c.steps_networks
+    history: list[tuple[int, dict[str, float]]] = []
+
+    def run(steps, optimiser, start, **options):
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(steps, 1), eta_min=0.0)
+        for step in range(steps):
+            if step % c.retrace == 0 and (step == 0 or options["geometry"]):
+                with torch.no_grad():
+                    z_sdf = codes()[0]
+                for rays in (inside, edge):
+                    rays.retrace(model, z_sdf, pose)
+            losses = fit.losses(**options)
+            loss = sum(losses.values())
+            optimiser.zero_grad(set_to_none=True)
+            if bool(torch.isfinite(loss)):
+                loss.backward()
+                optimiser.step()
+            schedule.step()
+            if (start + step) % 10 == 0:
+                history.append((start + step, {name: float(value) for name, value in losses.items()}))
+            report(start + step + 1, total)
+
+    run(c.steps_appearance, torch.optim.Adam([appearance], lr=c.rate_appearance_codes), 0, geometry=False)
+    groups = [
+        {"params": [coefficients], "lr": c.rate_codes},
+        {"params": [appearance], "lr": 0.5 * c.rate_appearance_codes},
+    ]
+    if portrait.pose_is_estimated:
+        groups.append({"params": [pose.rotation, pose.translation], "lr": c.rate_pose})
+    run(c.steps_codes, torch.optim.Adam(groups), c.steps_appearance, geometry=True)
+    if c.steps_networks:
+        fit.open_networks()
+        groups[0]["lr"] = 0.1 * c.rate_codes
+        groups.append({"params": fit.network_parameters(), "lr": c.rate_networks})
+        run(c.steps_networks, torch.optim.Adam(groups), c.steps_appearance + c.steps_codes, geometry=True)
+    freeze(model)
+    correction = pose.matrix()
+    with torch.no_grad():
+        z_sdf, z_r = codes()
+    return GeometryFit(
+        model,
+        z_sdf.detach(),
+        z_r.detach(),
+        correction @ portrait.canonical_from_world,
+        tuple(history),
+        float(np.degrees(np.linalg.norm(pose.rotation.detach().numpy()))),
+        float(np.linalg.norm(pose.translation.detach().numpy()) * UNIT_M),
+        time.monotonic() - started,
+    )
+
+
+class _Fit:
+    """The parts that every step of the fit reads."""
+
+    def __init__(self, config, model, codes, coefficients, appearance, pose, inside, edge, generator):
+        self.config, self.model, self.codes, self.pose = config, model, codes, pose
+        self.coefficients, self.appearance = coefficients, appearance
+        self.inside, self.edge, self.generator = inside, edge, generator
+        self.before = None
+
+    def network_parameters(self):
+        return [*self.model.deformation.parameters(), *self.model.renderer.parameters()]
+
+    def open_networks(self):
+        with torch.no_grad():
+            self.before = (copy.deepcopy(self.model), self.codes()[0].clone())
+        for parameter in self.network_parameters():
+            parameter.requires_grad_(True)
+
+    def losses(self, *, geometry: bool) -> dict[str, Tensor]:
+        """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
+        c = self.config
+        z_sdf, z_r = self.codes()
+        chosen = self.inside.draw(c.rays, self.generator, (self.inside.hit & self.inside.rays.usable).float())
+        rays = self.inside.rays.select(chosen)
+        origins, directions = corrected(self.pose, rays.origins, rays.directions)
+        x0 = origins + self.inside.t[chosen, None] * directions
+        if not geometry:
+            with torch.no_grad():
+                z_sdf = z_sdf.detach()
+            _, gradient, x_ref, gamma = sdf_and_gradient(self.model, x0.detach(), z_sdf, differentiable=False)
+            normals, x_ref, gamma = nn.functional.normalize(gradient.detach(), dim=-1), x_ref.detach(), gamma.detach()
+            colour = self.model.render(x_ref, normals, -directions.detach(), gamma, z_r)
+            return {
+                "colour": c.colour * (colour - rays.rgb).abs().mean(),
+                "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
+            }
+        f, gradient, _, _ = sdf_and_gradient(self.model, x0, z_sdf, differentiable=True)
+        length = gradient.norm(dim=-1)
+        normals = gradient / length.clamp_min(1e-6)[:, None]
+        x = differentiable_hit(x0, directions, f, gradient)
+        on = (f.detach().abs() < c.lost).float()
+        with torch.no_grad():
+            self.inside.t[chosen] += ((x - x0) * directions).sum(-1).clamp(-c.lost, c.lost)
+        delta, gamma = self.model.deform(x, z_sdf)
+        colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
+        losses = {
+            "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
+            "silhouette": c.silhouette * self.silhouette(z_sdf),
+            "prior": c.prior * self.coefficients.square().sum(),
+            "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
+        }
+        if self.pose.rotation.requires_grad:
+            sigma = torch.tensor(POSE_SIGMA)
+            scaled = torch.cat([self.pose.rotation, self.pose.translation]) / sigma
+            losses["pose"] = c.pose * scaled.square().sum()
+        if self.before is not None:
+            losses["eikonal"] = c.eikonal * ((length - 1.0) ** 2).mean()
+            losses["anchor"] = c.anchor * self.anchor(x.detach(), z_sdf)
+        return losses
+
+    def silhouette(self, z_sdf):
+        """Binary cross-entropy of the soft silhouette over band rays that the model has on the wrong side, or misses."""
+        c = self.config
+        chosen = self.edge.draw(c.band_rays, self.generator, torch.ones_like(self.edge.t))
+        rays = self.edge.rays.select(chosen)
+        origins, directions = corrected(self.pose, rays.origins, rays.directions)
+        x = origins + self.edge.t[chosen, None] * directions
+        f, _, _ = self.model(x, z_sdf)
+        # A hit's own f is 0 wherever the ray goes deep; how deep is said by a point behind it. Rays that hit and should
+        # are content; the others carry the gradient, as in IDR.
+        hit = self.edge.hit[chosen]
+        wrong = ~(hit & rays.in_mask)
+        target = rays.in_mask.float()
+        logits = -c.alpha * f
+        bce = nn.functional.binary_cross_entropy_with_logits(logits, target, reduction="none") / c.alpha
+        return (bce * wrong).sum() / max(len(chosen), 1) * 10.0
+
+    def anchor(self, x, z_sdf):
+        """Squared change of the deformation since phase A, on the seen surface and all around."""
+        low, high = (torch.tensor(b / UNIT_M, dtype=torch.float32) for b in BOUNDS_M)
+        anywhere = low + (high - low) * torch.rand(256, 3, generator=self.generator)
+        points = torch.cat([x[:512], anywhere])
+        model, z_before = self.before
+        with torch.no_grad():
+            before, _ = model.deform(points, z_before)
+        now, _ = self.model.deform(points, z_sdf)
+        return (now - before).square().sum(-1).mean()

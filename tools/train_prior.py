@@ -1,0 +1,74 @@
+"""Train the prior (SA-SM and AF-SM) on a folder of scenes.
+
+python tools/make_scenes.py --count 240 --out scenes
+python tools/train_prior.py --scenes scenes --out prior.safetensors --run runs/prior
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import _cli
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--scenes", type=Path, required=True, help="folder of scenes with gt/")
+    p.add_argument("--out", type=Path, required=True, help="the prior, a .safetensors file")
+    p.add_argument("--run", type=Path, default=Path("runs/prior"), help="checkpoints and loss curves")
+    p.add_argument("--steps", type=int, default=None, help="steps of SA-SM")
+    p.add_argument("--appearance-steps", type=int, default=None, help="steps of AF-SM")
+    p.add_argument(
+        "--supervision",
+        type=float,
+        default=None,
+        help="weight of the scenes' exact albedo in AF-SM (0: self-supervised)",
+    )
+    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
+    p.add_argument("--workers", type=int, default=2, help="processes that draw samples")
+    p.add_argument("--resume", action="store_true", help="go on from --run exactly")
+    p.add_argument("--quiet", action="store_true")
+    return p
+
+
+def body(args: argparse.Namespace) -> int:
+    """Train."""
+    import contextlib
+    from dataclasses import replace
+
+    import torch
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from sira_assets.train.prior import PriorConfig, train_prior
+
+    base = PriorConfig()
+    shape = replace(base.shape, seed=args.seed, steps=args.steps or base.shape.steps)
+    appearance = replace(base.appearance, seed=args.seed, steps=args.appearance_steps or base.appearance.steps)
+    if args.supervision is not None:
+        appearance = replace(appearance, supervision=args.supervision)
+    device = args.device if args.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with contextlib.nullcontext() if args.quiet else Progress(*columns) as progress:
+        train_prior(
+            args.scenes,
+            args.out,
+            args.run,
+            config=replace(base, shape=shape, appearance=appearance),
+            device=device,
+            resume=args.resume,
+            workers=args.workers,
+            progress=progress,
+        )
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Exit status: 0, 2 usage, 3 bad input, 130 interrupted (go on with --resume)."""
+    args = parser().parse_args(argv)
+    return _cli.run(lambda: body(args))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
