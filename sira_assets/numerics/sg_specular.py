@@ -1,9 +1,9 @@
 """Specular reflection of spherical gaussian light by a rough surface, in closed form.
 
-Notation: n normal, v direction to the camera, l to the light, all unit; r roughness (GGX alpha = r^2); f0 reflectance at
-normal incidence. The BRDF is D F V with D = exp(2/r^4 (n . h - 1)) / (pi r^4), Karis' spherical-gaussian Schlick F and
-Smith's visibility V = 1 / (4 (nl (1-k) + k) (nv (1-k) + k)), k = (r + 1)^2 / 8: "simplified Disney" (Karis, Real Shading in Unreal
-Engine 4, 2013; as SG: Wang et al. 2009, doi:10.1145/1618452.1618479).
+Notation: n normal, v direction to the camera, l to the light, all unit; r roughness (GGX alpha = r^2); f0 reflectance
+at normal incidence. The BRDF is D F V with D = exp(2/r^4 (n . h - 1)) / (pi r^4), Karis' spherical-gaussian Schlick F
+and Smith's visibility V = 1 / (4 (nl (1-k) + k) (nv (1-k) + k)), k = (r + 1)^2 / 8: "simplified Disney" (Karis, Real
+Shading in Unreal Engine 4, 2013; as SG: Wang et al. 2009, doi:10.1145/1618452.1618479).
 """
 
 import math
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sira_assets.numerics.exponential import phi1
 from sira_assets.numerics.sg import product_scalars
-from sira_assets.numerics.sg_irradiance import irradiance_fast
+from sira_assets.numerics.sg_irradiance import irradiance_accurate
 from sira_assets.numerics.vector import dot, reflect, squared_distance
 
 # The warped lobe's sharpness is 1 / (2 r^4 nv). Below this cosine (0.06 degrees from grazing) it is held.
@@ -38,9 +38,9 @@ def specular_radiance(
 ) -> Float[Tensor, "*n 3"]:
     """Radiance reflected towards the camera by the specular lobe alone.
 
-    D is warped to the incident side about the mirror direction (sharpness / (4 nv)) and multiplied with each light lobe;
-    the product's mean cosine, its irradiance over its integral, is the nl of the visibility, so that a white furnace
-    never returns more than F. F and V are taken at the mirror direction, where h = n.
+    D is warped to the incident side about the mirror direction (sharpness / (4 nv)) and multiplied with each light
+    lobe; the product's mean cosine, its irradiance over its integral, is the nl of the visibility, so that a white
+    furnace never returns more than F. F is taken at the mirror direction, where h = n.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def specular_radiance(
     light_cosine = normals @ axis.mT
     cosine = (warped_sharpness * n_dot_v.unsqueeze(-1) + sharpness * light_cosine) / product
     integral = 4.0 * math.pi * phi1(2.0 * product)
-    weighted = irradiance_fast(cosine.clamp(-1.0, 1.0), product)
+    weighted = irradiance_accurate(cosine.clamp(-1.0, 1.0), product)
     mean_cosine = weighted / integral
     masked = weighted / (mean_cosine * (1.0 - k) + k)  # int G_product n.l / (n.l (1-k) + k) dl
     reflected = (torch.exp(exponent) * masked) @ amplitude
