@@ -97,6 +97,15 @@ class _KeptRays:
             hits = sphere_trace(lambda x: model(x, z_sdf)[0], origins, directions, low, high, config)
         self.t, self.hit = hits.t, hits.hit
 
+    def deepest(self, model, z_sdf, pose, reach=0.6, samples=12):
+        """Move each hit to the lowest f within `reach` behind it: how far a wrong hit is inside."""
+        with torch.no_grad():
+            origins, directions = corrected(pose, self.rays.origins, self.rays.directions)
+            ts = self.t[:, None] + torch.linspace(0.0, reach, samples)
+            points = origins[:, None] + ts[..., None] * directions[:, None]
+            f = model(points.reshape(-1, 3), z_sdf)[0].view(ts.shape)
+        self.t = torch.where(self.hit, ts[torch.arange(len(ts)), f.argmin(1)], self.t)
+
     def draw(self, count, generator, where):
         weight = self.weight * where
         if not bool((weight > 0).any()):
@@ -143,8 +152,9 @@ def fit_geometry(
             if step % c.retrace == 0 and (step == 0 or options["geometry"]):
                 with torch.no_grad():
                     z_sdf = codes()[0]
-                for rays in (inside, edge):
-                    rays.retrace(model, z_sdf, pose)
+                inside.retrace(model, z_sdf, pose)
+                edge.retrace(model, z_sdf, pose)
+                edge.deepest(model, z_sdf, pose)
             losses = fit.losses(**options)
             loss = sum(losses.values())
             optimiser.zero_grad(set_to_none=True)
@@ -246,15 +256,14 @@ class _Fit:
         return losses
 
     def silhouette(self, z_sdf):
-        """Binary cross-entropy of the soft silhouette over band rays that the model has on the wrong side, or misses."""
+        """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
         c = self.config
         chosen = self.edge.draw(c.band_rays, self.generator, torch.ones_like(self.edge.t))
         rays = self.edge.rays.select(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)
         x = origins + self.edge.t[chosen, None] * directions
         f, _, _ = self.model(x, z_sdf)
-        # A hit's own f is 0 wherever the ray goes deep; how deep is said by a point behind it. Rays that hit and should
-        # are content; the others carry the gradient, as in IDR.
+        # Rays that hit and should are content; the others carry the gradient, as in IDR.
         hit = self.edge.hit[chosen]
         wrong = ~(hit & rays.in_mask)
         target = rays.in_mask.float()
