@@ -58,8 +58,8 @@ def _obj_text(avatar: Avatar, name: str, mtl: str) -> str:
         f"mtllib {mtl}",
         f"o {name}",
         # Nine digits hold a float32 exactly, so OBJ and GLB carry the same positions.
-        _rows("v %.9g %.9g %.9g", mesh.vertices),
-        _rows("vt %.9g %.9g", atlas.uv),
+        _rows("v %.9g %.9g %.9g", mesh.vertices.astype(np.float32)),
+        _rows("vt %.9g %.9g", atlas.uv.astype(np.float32)),
         _rows("vn %.6g %.6g %.6g", normals),
         f"usemtl {name}",
         "s 1",

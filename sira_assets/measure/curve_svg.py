@@ -28,7 +28,7 @@ def curve_svg(curve: Curve) -> str:
     if not len(points):
         return '<p class="muted">no finite value was recorded</p>'
     x, y = points[np.argsort(points[:, 0], kind="stable")].T
-    log = bool(y.min() > 0 and y.max() / y.min() >= LOG_FROM_RATIO)
+    log = bool(y.min() > 0 and y.max() >= LOG_FROM_RATIO * y.min())
     y_ticks = _log_ticks(y.min(), y.max()) if log else nice_ticks(y.min(), y.max(), 4)
     x_ticks = nice_ticks(x.min(), x.max(), 5)
     x_low, x_high = _span(x.min(), x.max())
@@ -82,7 +82,8 @@ def running_median(y: np.ndarray) -> np.ndarray:
     half = len(y) // 80
     if half < 1:
         return y
-    padded = np.pad(y, half, mode="edge")
+    # Reflected, not repeated: repeating would make a majority of a spike at the very end.
+    padded = np.pad(y, half, mode="reflect")
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
 
 
