@@ -84,7 +84,7 @@ def irradiance(
     Parameters
     ----------
     normals : (..., 3) unit
-    grade : "accurate", within 0.02 % of a lobe's head-on value, or "fast", the published route, within 1.3 %
+    grade : "accurate", within 0.01 % of a lobe's head-on value, or "fast", the published route, within 1.3 %
 
     Returns
     -------

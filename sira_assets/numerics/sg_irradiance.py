@@ -46,7 +46,8 @@ def irradiance_fast(cosine: Tensor, sharpness: Tensor) -> Tensor:
     """
     summed = sharpness + COSINE_SHARPNESS
     crossed = 2.0 * COSINE_SHARPNESS * sharpness * (cosine - 1.0)
-    product = torch.sqrt(summed * summed + crossed)  # >= |lambda - 0.0315|
+    # At least (lambda - 0.0315)^2; the floor keeps the opposite lobe of that very sharpness from 0/0.
+    product = torch.sqrt((summed * summed + crossed).clamp_min(1e-10))
     exponent = crossed / (product + summed)
     product_cosine = ((sharpness * cosine + COSINE_SHARPNESS) / product).clamp(-1.0, 1.0)
     lobe = COSINE_AMPLITUDE * torch.exp(exponent) * hemisphere_integral(product_cosine, product)
@@ -55,20 +56,21 @@ def irradiance_fast(cosine: Tensor, sharpness: Tensor) -> Tensor:
 
 # Coefficients of P_k(tau) in `irradiance_accurate`, k = 2..5 by rows, powers of tau = lambda / (lambda + 3) by columns,
 # and of the ratio R(tau). Both are weighted least-squares fits, re-weighted towards equal ripple, to the exact E of
-# `docs/light.md` over lambda in [1e-4, 1e6]; `tools/measure_light.py` measures what they leave.
+# `docs/light.md` over lambda in [1e-4, 1e6], with P = 0 at lambda = 0; `tools/measure_light.py` measures what
+# they leave.
 _TAU_SCALE = 3.0
 _TAIL = (
-    (0.009114, -0.268963, 2.231065, -1.397543, -5.951744, 10.458809, -4.809491),
-    (-0.043054, 1.188957, -7.007160, 12.946794, 2.429328, -23.452114, 14.068613),
-    (0.063165, -1.712378, 11.147360, -27.241716, 23.579072, 0.136194, -6.071031),
-    (-0.029336, 0.805935, -5.764507, 16.930351, -22.207716, 12.296780, -2.000437),
+    (0.0, -0.129433, 1.823799, -2.271651, 1.380022, -5.935000, 11.487024, -6.171023),
+    (0.0, 0.527355, -4.257423, 9.692092, -4.193257, 2.012782, -16.129178, 12.715575),
+    (0.0, -0.651044, 5.481602, -14.090131, 13.510427, -12.521121, 21.512741, -13.554030),
+    (0.0, 0.247491, -1.999026, 4.212410, 1.193576, -10.324781, 7.704406, -0.953626),
 )
 _EDGE_NUMERATOR = (0.66667374, -1.29939423, 1.61863833, -0.64349498, 0.74904216)
 _EDGE_DENOMINATOR = (1.0, -2.57296878, 3.47450107, -1.86816654, 0.90558153)
 
 
 def irradiance_accurate(cosine: Tensor, sharpness: Tensor) -> Tensor:
-    """E(lambda, c) within 0.02 % of the head-on value for every sharpness >= 0.
+    """E(lambda, c) within 0.01 % of the head-on value for every sharpness >= 0.
 
     E(c) = g(|c|) + 2 O max(c, 0): the odd part, O = int G (n . w) / 2 at c = 1, is exact; g(a) = E(-a), what reaches a
     surface that faces away, is E(0) exp(-P) with P a polynomial in x = a sqrt(lambda + 1) whose coefficients depend on
@@ -83,4 +85,5 @@ def irradiance_accurate(cosine: Tensor, sharpness: Tensor) -> Tensor:
     away = cosine.abs()
     x = away * root
     tail = horner(x, (odd / (edge * root), *(horner(tau, row) for row in _TAIL)))
-    return edge * torch.exp(-x * tail) + 2.0 * odd * cosine.clamp_min(0.0)
+    # c + |c| and not 2 max(c, 0): the gradient of |c| at 0 is 0, and the slope there O, as it should be.
+    return edge * torch.exp(-x * tail) + odd * (cosine + away)

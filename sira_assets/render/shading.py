@@ -13,8 +13,8 @@ from torch import Tensor
 from sira_assets.numerics.sg import Grade, irradiance
 from sira_assets.numerics.sg_specular import specular_radiance
 
-# One roughness for skin, hair and cloth, as SIRA fixes one; GGX alpha = r^2 = 0.25, r as in glTF. Faces were measured by
-# Weyrich et al. (Analysis of Human Faces using a Measurement-Based Skin Reflectance Model, SIGGRAPH 2006,
+# One roughness for skin, hair and cloth, as SIRA fixes one; GGX alpha = r^2 = 0.25, r as in glTF. Faces were measured
+# by Weyrich et al. (Analysis of Human Faces using a Measurement-Based Skin Reflectance Model, SIGGRAPH 2006,
 # doi:10.1145/1141911.1141987); for real-time use d'Eon and Luebke (GPU Gems 3, chapter 14, 2007) draw one value from
 # them, a microfacet slope m = 0.3, which in these terms is r = sqrt(m) = 0.55. Rounded to what asset tools default to.
 ROUGHNESS = 0.5
