@@ -109,10 +109,27 @@ def measure_surface(
     ------
     InputError : landmarks the protocol needs are absent, or `now` is asked for without scale.
     """
-    gt_mesh = outer_surface(truth.mesh) if config.leave_out_inner else truth.mesh
-    pred = outer_surface(pred) if config.leave_out_inner else pred
+    pred, truth = without_inner(pred, truth, config)
+    return measure_prepared(pred, truth, config, pred_landmarks=pred_landmarks)
+
+
+def without_inner(pred: TriangleMesh, truth: Truth, config: ProtocolConfig) -> tuple[TriangleMesh, Truth]:
+    """Both surfaces without what no one sees from outside, where the configuration asks for that (seconds of rays)."""
+    if not config.leave_out_inner:
+        return pred, truth
+    return outer_surface(pred), replace(truth, mesh=outer_surface(truth.mesh))
+
+
+def measure_prepared(
+    pred: TriangleMesh,
+    truth: Truth,
+    config: ProtocolConfig = ProtocolConfig(),
+    *,
+    pred_landmarks: Mapping[str, np.ndarray] | None = None,
+) -> SurfaceReport:
+    """`measure_surface` for surfaces that went through `without_inner` already: to measure one pair several times."""
     measure = {"surface": _surface, "h3ds": _h3ds, "now": _now}[config.protocol]
-    return measure(pred, replace(truth, mesh=gt_mesh), config, pred_landmarks or {})
+    return measure(pred, truth, config, pred_landmarks or {})
 
 
 def _surface(pred, truth, config, pred_landmarks) -> SurfaceReport:

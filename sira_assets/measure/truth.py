@@ -4,9 +4,8 @@ A mesh comes as a file (anything trimesh reads: PLY, OBJ, GLB, STL, OFF) or as a
 scene's (`gt/mesh.ply`) or a head's (`mesh.ply`). Everything returned is in metres.
 """
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,8 @@ from sira_assets.errors import InputError
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, canonical_from_landmarks
+from sira_assets.scene.landmarks import landmarks_from_json, read_json
+from sira_assets.scene.transforms_json import read_transforms
 
 METRES_PER = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 
@@ -91,40 +92,24 @@ def read_mesh(path: str | Path, *, metres_per_unit: float = 1.0) -> TriangleMesh
 
 
 def read_landmarks(path: str | Path, *, metres_per_unit: float = 1.0, of: str = "gt") -> dict[str, np.ndarray]:
-    """Landmarks by name, metres.
+    """3D landmarks by canonical name, metres.
 
-    Read are `{name: {"xyz_m": [x, y, z]}}`, `{"landmarks_m": {name: [x, y, z]}}` (metres), `{name: [x, y, z]}` (the
-    mesh's own unit), and any of these under "gt" and "pred", of which `of` picks one; without these keys the file
-    speaks of the truth.
+    Read are the forms of `scene.landmarks` and `{name: [x, y, z]}`, in the mesh's own unit, also under the keys "gt"
+    and "pred", of which `of` picks one; without these keys the file speaks of the truth.
 
     Raises
     ------
     InputError : no such file, not JSON, or not a landmark file.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(expected=f"landmarks at {path}", received="no such file", remedy="check the path")
-    try:
-        data = json.loads(path.read_text())
-        if "gt" in data or "pred" in data:
-            data = data.get(of, {})
-        elif of != "gt":
-            return {}
-        named_metres = data.get("landmarks_m")
-        out = {}
-        for name, value in (named_metres if named_metres is not None else data).items():
-            metric = named_metres is not None or isinstance(value, dict)
-            xyz = np.array(value["xyz_m"] if isinstance(value, dict) else value, np.float64)
-            if xyz.shape != (3,) or not np.isfinite(xyz).all():
-                raise ValueError(f"{name} is {value}")
-            out[name] = xyz * (1.0 if metric else metres_per_unit)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            expected=f'landmarks in {path.name} as {{"nose_tip": [x, y, z], ...}}',
-            received=f"{type(error).__name__}: {error}",
-            remedy="see the landmarks.json of any scene",
-        ) from error
-    return out
+    data = read_json(Path(path))
+    if isinstance(data, dict) and ("gt" in data or "pred" in data):
+        data = data.get(of, {})
+    elif of != "gt":
+        return {}
+    if isinstance(data, dict) and any(isinstance(data.get(name), list) for name in CANONICAL_LANDMARKS_M):
+        data = {"landmarks_m": data}
+    points = landmarks_from_json(data, Path(path).name).points_world
+    return {name: point * metres_per_unit for name, point in points.items()}
 
 
 def read_truth(path: str | Path, *, metres_per_unit: float | None = None, landmarks: str | Path | None = None) -> Truth:
@@ -137,37 +122,37 @@ def read_truth(path: str | Path, *, metres_per_unit: float | None = None, landma
     """
     path = Path(path)
     file = mesh_file(path)
-    transforms = path / "transforms.json" if path.is_dir() else None
-    header = _header(transforms)
-    unit = metres_per_unit if metres_per_unit is not None else float(header.get("metres_per_unit", 1.0))
-    beside = file.parent / "landmarks.json"
-    source = Path(landmarks) if landmarks is not None else beside if beside.is_file() else None
+    described = path.is_dir() and (path / "transforms.json").is_file()
+    scene = read_transforms(path / "transforms.json", only_first=True) if described else None
+    unit = metres_per_unit or (scene.metres_per_unit if scene is not None else None) or 1.0
+    source = Path(landmarks) if landmarks is not None else landmarks_beside(path)
     points = read_landmarks(source, metres_per_unit=unit) if source else {}
+    if landmarks is not None and not points:
+        raise InputError(
+            expected=f"3D landmarks of the truth in {source}",
+            received="none",
+            remedy='give {"nose_tip": [x, y, z], ...}',
+        )
+    if scene is not None and not points:
+        points = {name: point * unit for name, point in scene.landmarks.points_world.items()}
     frame = None
-    if "canonical_from_world" in header:
+    if scene is not None and scene.canonical_from_world is not None:
         # The file's matrix takes the scene's unit; this one takes metres.
-        frame = np.array(header["canonical_from_world"], np.float64) @ np.diag([1 / unit, 1 / unit, 1 / unit, 1.0])
-    elif len(CANONICAL_LANDMARKS_M.keys() & points.keys()) >= 3:
+        frame = scene.canonical_from_world @ np.diag([1 / unit, 1 / unit, 1 / unit, 1.0])
+    elif len(points) >= 3:
         frame = canonical_from_landmarks(points)
-    camera = _first_camera(path, unit) if "frames" in header else None
+    camera = None if scene is None else camera_in_metres(scene.frames[0].camera, unit)
     return Truth(read_mesh(file, metres_per_unit=unit), points, frame, camera, unit)
 
 
-def _header(transforms: Path | None) -> dict:
-    if transforms is None or not transforms.is_file():
-        return {}
-    try:
-        return json.loads(transforms.read_text())
-    except ValueError as error:
-        raise InputError(
-            expected=f"JSON in {transforms}", received=str(error), remedy="repair or leave out transforms.json"
-        ) from error
-
-
-def _first_camera(folder: Path, unit: float) -> Camera:
-    from sira_assets.scene.read_scene import read_frames
-
-    camera = read_frames(folder)[0].camera
+def camera_in_metres(camera: Camera, metres_per_unit: float) -> Camera:
+    """The same camera in a world whose unit is the metre."""
     pose = camera.world_from_camera.copy()
-    pose[:3, 3] *= unit
-    return Camera(camera.intrinsics, pose, camera.width, camera.height)
+    pose[:3, 3] *= metres_per_unit
+    return replace(camera, world_from_camera=pose)
+
+
+def landmarks_beside(path: str | Path) -> Path | None:
+    """The `landmarks.json` in the folder of the mesh that `path` means, or None."""
+    file = mesh_file(path).parent / "landmarks.json"
+    return file if file.is_file() else None
