@@ -10,7 +10,7 @@ which is large in shadow and in highlights, so that neither is baked into the al
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -82,9 +82,9 @@ class AppearanceFit:
 
 def visible_surface(portrait: Portrait, geometry: GeometryFit, *, chunk: int = 16384) -> SurfacePoints:
     """Trace every pixel of the mask against the fitted surface; pixels that miss are left out."""
-    posed = with_pose(portrait, geometry.canonical_from_world)
-    rays = mask_rays(posed)
-    low, high = (torch.tensor(b / UNIT_M, dtype=torch.float32) for b in BOUNDS_M)
+    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    rays = mask_rays(posed, device=geometry.z_sdf.device)
+    low, high = (rays.origins.new_tensor(b / UNIT_M) for b in BOUNDS_M)
     with torch.no_grad():
         hits = sphere_trace(lambda x: geometry.shape(x, geometry.z_sdf)[0], rays.origins, rays.directions, low, high)
     rays = rays.select(torch.nonzero(hits.hit)[:, 0])
@@ -96,13 +96,6 @@ def visible_surface(portrait: Portrait, geometry: GeometryFit, *, chunk: int = 1
             column.append(value.detach())
     normals, x_ref, gamma = (torch.cat(column) for column in parts)
     return SurfacePoints(x, normals, -rays.directions, x_ref, gamma, rays)
-
-
-def with_pose(portrait: Portrait, canonical_from_world: np.ndarray) -> Portrait:
-    """The portrait with another head pose."""
-    from dataclasses import replace
-
-    return replace(portrait, canonical_from_world=canonical_from_world)
 
 
 class _Light:
@@ -140,16 +133,17 @@ def fit_appearance(
     """Find albedo, specular albedo and light of one portrait on its fitted surface."""
     started = time.monotonic()
     c = config
-    generator = torch.Generator().manual_seed(c.seed + 1)
+    device = geometry.z_sdf.device
+    generator = torch.Generator(device).manual_seed(c.seed + 1)
     surface = visible_surface(portrait, geometry)
     surface = surface.rows(torch.nonzero(surface.rays.usable)[:, 0])
     if len(surface.x) > c.max_surface:
-        surface = surface.rows(torch.randperm(len(surface.x), generator=generator)[: c.max_surface])
+        surface = surface.rows(torch.randperm(len(surface.x), generator=generator, device=device)[: c.max_surface])
     light = _Light(prior)
     model = prior.appearance
-    z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1]))
-    z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1]))
-    refinement = AlbedoRefinement(c.refinement, feature_size=geometry.shape.config.feature_size)
+    z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
+    z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
+    refinement = AlbedoRefinement(c.refinement, feature_size=geometry.shape.config.feature_size).to(device)
     _match_exposure(light, surface, model, prior)
     hidden = _hidden_surface(geometry, surface, generator)
     stages = (
@@ -175,7 +169,7 @@ def fit_appearance(
         for step in range(steps):
             if name == "specular":
                 k_s = (step + 1) / steps
-            rows = torch.randint(len(surface.x), (min(c.pixels, len(surface.x)),), generator=generator)
+            rows = torch.randint(len(surface.x), (min(c.pixels, len(surface.x)),), generator=generator, device=device)
             points = surface.rows(rows)
             base = model.diffuse(points.x_ref, points.gamma, prior.z_a.code(z_a))
             f0 = model.specular_f0(points.x_ref, prior.z_s.code(z_s))
@@ -196,7 +190,7 @@ def fit_appearance(
                 weight = c.shadow * (base.sum(-1) - diffuse_base.sum(-1)).clamp_min(0.0)
                 weight = weight + c.highlight * shading.specular_radiance.detach().sum(-1)
                 losses["regularity"] = c.regularity * (extra.abs().sum(-1) * weight).mean()
-                pick = torch.randint(len(hidden[0]), (512,), generator=generator)
+                pick = torch.randint(len(hidden[0]), (512,), generator=generator, device=device)
                 losses["unseen"] = c.unseen * refinement(hidden[0][pick], hidden[1][pick]).abs().mean()
             loss = sum(losses.values())
             optimiser.zero_grad(set_to_none=True)
@@ -219,7 +213,7 @@ def fit_appearance(
             refinement if c.steps_refinement else None,
             k_s,
         )
-        axis, sharpness, amplitude = (t.double().numpy() for t in light.lobes())
+        axis, sharpness, amplitude = (t.double().cpu().numpy() for t in light.lobes())
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)[:3, :3]
     world_from_canonical = world_from_canonical / np.cbrt(np.linalg.det(world_from_canonical))
     return AppearanceFit(
@@ -249,8 +243,8 @@ def _hidden_surface(geometry: GeometryFit, surface: SurfacePoints, generator, co
     Seen points, mirrored through the head and brought back to the surface by Newton steps, and kept where they end up
     on the far side or in shadow of the camera.
     """
-    low, high = (torch.tensor(b / UNIT_M, dtype=torch.float32) for b in BOUNDS_M)
-    x = low + (high - low) * torch.rand(4 * count, 3, generator=generator)
+    low, high = (surface.x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
+    x = low + (high - low) * torch.rand(4 * count, 3, generator=generator, device=surface.x.device)
     for _ in range(6):
         f, gradient, _, _ = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
         x = x - (f / gradient.square().sum(-1).clamp_min(0.25))[:, None] * gradient
@@ -259,5 +253,5 @@ def _hidden_surface(geometry: GeometryFit, surface: SurfacePoints, generator, co
     facing = (nn.functional.normalize(gradient, dim=-1) * surface.view.mean(0)).sum(-1)
     keep = torch.nonzero((f.abs() < 0.01) & (facing < -0.05))[:, 0][:count]
     if len(keep) == 0:
-        keep = torch.arange(min(count, len(x)))
+        keep = torch.arange(min(count, len(x)), device=x.device)
     return x_ref[keep].detach(), gamma[keep].detach()

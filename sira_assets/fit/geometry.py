@@ -87,11 +87,11 @@ class _KeptRays:
 
     def __init__(self, rays: PixelRays, weight: Tensor):
         self.rays, self.weight = rays, weight
-        self.t = torch.zeros(len(rays))
-        self.hit = torch.zeros(len(rays), dtype=torch.bool)
+        self.t = torch.zeros_like(rays.origins[:, 0])
+        self.hit = torch.zeros_like(rays.in_mask)
 
     def retrace(self, model, z_sdf, pose, config=TraceConfig()):
-        low, high = (torch.tensor(b / UNIT_M, dtype=torch.float32) for b in BOUNDS_M)
+        low, high = (self.t.new_tensor(b / UNIT_M) for b in BOUNDS_M)
         with torch.no_grad():
             origins, directions = corrected(pose, self.rays.origins, self.rays.directions)
             hits = sphere_trace(lambda x: model(x, z_sdf)[0], origins, directions, low, high, config)
@@ -101,15 +101,15 @@ class _KeptRays:
         """Move each hit to the lowest f within `reach` behind it: how far a wrong hit is inside."""
         with torch.no_grad():
             origins, directions = corrected(pose, self.rays.origins, self.rays.directions)
-            ts = self.t[:, None] + torch.linspace(0.0, reach, samples)
+            ts = self.t[:, None] + torch.linspace(0.0, reach, samples, device=self.t.device)
             points = origins[:, None] + ts[..., None] * directions[:, None]
             f = model(points.reshape(-1, 3), z_sdf)[0].view(ts.shape)
-        self.t = torch.where(self.hit, ts[torch.arange(len(ts)), f.argmin(1)], self.t)
+        self.t = torch.where(self.hit, ts.gather(1, f.argmin(1, keepdim=True))[:, 0], self.t)
 
     def draw(self, count, generator, where):
         weight = self.weight * where
         if not bool((weight > 0).any()):
-            return torch.zeros(0, dtype=torch.int64)
+            return torch.zeros(0, dtype=torch.int64, device=weight.device)
         return torch.multinomial(weight, min(count, int((weight > 0).sum())), generator=generator)
 
 
@@ -118,29 +118,31 @@ def fit_geometry(
     prior: Prior,
     config: GeometryFitConfig = GeometryFitConfig(),
     *,
+    device: str | torch.device = "cpu",
     report: Callable[[int, int], None] = lambda step, steps: None,
 ) -> GeometryFit:
     """Fit SA-SM to one portrait.
 
     Parameters
     ----------
+    prior : on `device`
     report : called with (steps done, steps in all)
     """
     started = time.monotonic()
     c = config
-    generator = torch.Generator().manual_seed(c.seed)
+    generator = torch.Generator(device).manual_seed(c.seed)
     model = copy.deepcopy(prior.shape)
     freeze(model)
-    pool = mask_rays(portrait)
+    pool = mask_rays(portrait, device=device)
     chosen = torch.multinomial(face_weight(pool), min(c.pool, len(pool)), generator=generator)
-    inside = _KeptRays(pool.select(chosen), torch.ones(len(chosen)))
-    band = pixel_rays(portrait, *silhouette_band(portrait))
-    chosen = torch.randperm(len(band), generator=generator)[: c.band_pool]
-    edge = _KeptRays(band.select(chosen), torch.ones(len(chosen)))
+    inside = _KeptRays(pool.select(chosen), torch.ones(len(chosen), device=device))
+    band = pixel_rays(portrait, *silhouette_band(portrait), device=device)
+    chosen = torch.randperm(len(band), generator=generator, device=device)[: c.band_pool]
+    edge = _KeptRays(band.select(chosen), torch.ones(len(chosen), device=device))
 
-    coefficients = nn.Parameter(torch.zeros(prior.z_sdf.basis.shape[1]))
-    appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1]))
-    pose = PoseCorrection(nn.Parameter(torch.zeros(3)), nn.Parameter(torch.zeros(3)))
+    coefficients = nn.Parameter(torch.zeros(prior.z_sdf.basis.shape[1], device=device))
+    appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1], device=device))
+    pose = PoseCorrection(nn.Parameter(torch.zeros(3, device=device)), nn.Parameter(torch.zeros(3, device=device)))
     codes = lambda: (prior.z_sdf.code(coefficients), prior.z_r.code(appearance))  # noqa: E731
     fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator)
     total = c.steps_appearance + c.steps_codes + c.steps_networks
@@ -189,8 +191,8 @@ def fit_geometry(
         z_r.detach(),
         correction @ portrait.canonical_from_world,
         tuple(history),
-        float(np.degrees(np.linalg.norm(pose.rotation.detach().numpy()))),
-        float(np.linalg.norm(pose.translation.detach().numpy()) * UNIT_M),
+        float(np.degrees(np.linalg.norm(pose.rotation.detach().cpu().numpy()))),
+        float(np.linalg.norm(pose.translation.detach().cpu().numpy()) * UNIT_M),
         time.monotonic() - started,
     )
 
@@ -247,7 +249,7 @@ class _Fit:
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
         }
         if self.pose.rotation.requires_grad:
-            sigma = torch.tensor(POSE_SIGMA)
+            sigma = self.appearance.new_tensor(POSE_SIGMA)
             scaled = torch.cat([self.pose.rotation, self.pose.translation]) / sigma
             losses["pose"] = c.pose * scaled.square().sum()
         if self.before is not None:
@@ -273,8 +275,8 @@ class _Fit:
 
     def anchor(self, x, z_sdf):
         """Squared change of the deformation since phase A, on the seen surface and all around."""
-        low, high = (torch.tensor(b / UNIT_M, dtype=torch.float32) for b in BOUNDS_M)
-        anywhere = low + (high - low) * torch.rand(256, 3, generator=self.generator)
+        low, high = (x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
+        anywhere = low + (high - low) * torch.rand(256, 3, generator=self.generator, device=x.device)
         points = torch.cat([x[:512], anywhere])
         model, z_before = self.before
         with torch.no_grad():

@@ -99,3 +99,10 @@ class Raycaster:
         nearest = result["points"].numpy().astype(np.float64) + self._centre
         face = result["primitive_ids"].numpy().astype(np.int64)
         return ClosestPoints(nearest, np.linalg.norm(points - nearest, axis=1), face)
+
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance (N,) of points (N, 3) to the surface, the mesh's unit, negative inside; needs a watertight mesh."""
+        import open3d
+
+        query = open3d.core.Tensor(np.ascontiguousarray(points - self._centre, np.float32))
+        return self._scene.compute_signed_distance(query).numpy().astype(np.float64)

@@ -1,0 +1,153 @@
+"""The journey, readable in one screen: portrait -> head and light -> mesh -> atlas -> textures -> avatar -> files.
+
+Each stage adds one immutable value and its wall-clock time.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sira_assets.asset.avatar import Avatar
+from sira_assets.asset.write_avatar import write_avatar
+from sira_assets.errors import InputError
+from sira_assets.fields.prior import Prior, load_prior
+from sira_assets.fit.appearance import AppearanceFit, AppearanceFitConfig, fit_appearance
+from sira_assets.fit.geometry import GeometryFit, GeometryFitConfig, fit_geometry
+from sira_assets.fit.stored import fit_key, keep_appearance, keep_geometry, kept_appearance, kept_geometry
+from sira_assets.mesh.clean import CleanConfig, clean_mesh
+from sira_assets.mesh.extract import ExtractConfig, extract_mesh
+from sira_assets.mesh.simplify import simplify_mesh
+from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.render.shading import ROUGHNESS
+from sira_assets.render.view import ViewRender, render_view
+from sira_assets.scene.portrait import Portrait
+from sira_assets.texture.bake import BakeConfig, bake
+from sira_assets.texture.unwrap import UnwrapConfig, unwrap
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that decides an avatar, given the portrait and the prior."""
+
+    quality: str = "standard"
+    geometry: GeometryFitConfig = GeometryFitConfig()
+    appearance: AppearanceFitConfig = AppearanceFitConfig()
+    extract: ExtractConfig = ExtractConfig()
+    clean: CleanConfig = CleanConfig()
+    max_triangles: int = 30000
+    unwrap: UnwrapConfig = UnwrapConfig()
+    bake: BakeConfig = BakeConfig()
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Journey:
+    """All that a run made, stage by stage."""
+
+    portrait: Portrait
+    geometry: GeometryFit
+    appearance: AppearanceFit
+    surface: TriangleMesh  # canonical metres, full resolution
+    avatar: Avatar  # the scene's world
+    view: ViewRender
+    seconds: tuple[tuple[str, float], ...]
+
+
+def settings_for(quality: str, *, texture_size: int | None = None, max_triangles: int | None = None, seed: int = 0):
+    """The named presets: how accuracy is paid for with time.
+
+    Raises
+    ------
+    InputError : another name.
+    """
+    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(seed=seed)
+    if quality == "draft":
+        g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=0, rays=600, band_rays=250)
+        a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
+        size, triangles, cell, samples = 512, 15000, 0.003, 1
+    elif quality == "standard":
+        size, triangles, cell, samples = 1024, 30000, 0.002, 2
+    elif quality == "high":
+        g = replace(g, steps_codes=500, steps_networks=400, rays=1600, band_rays=600)
+        a = replace(a, steps_refinement=1500, pixels=6000, max_surface=400000)
+        size, triangles, cell, samples = 2048, 60000, 0.0015, 3
+    else:
+        raise InputError(expected="draft, standard or high", received=quality, remedy="choose one of them")
+    size = texture_size or size
+    return Settings(
+        quality,
+        g,
+        a,
+        ExtractConfig(cell_m=cell),
+        max_triangles=max_triangles or triangles,
+        unwrap=UnwrapConfig(texture_size=size),
+        bake=BakeConfig(size=size, samples=samples),
+        seed=seed,
+    )
+
+
+def run(
+    portrait: Portrait,
+    settings: Settings = Settings(),
+    *,
+    prior: Prior | None = None,
+    work: Path | None = None,
+    device: str = "cpu",
+    report: Callable[[str, int, int], None] = lambda stage, done, steps: None,
+) -> Journey:
+    """Turn one portrait into an avatar, in memory.
+
+    Parameters
+    ----------
+    prior : the trained models; the shipped ones if None
+    work : folder in which the two fits are kept as they finish and found again by a later run of the same settings
+    report : called with (stage, steps done, steps in all)
+    """
+    seconds: list[tuple[str, float]] = []
+
+    def stage(name, function, *args, **options):
+        started = time.monotonic()
+        report(name, 0, 1)
+        if function in (fit_geometry, fit_appearance):
+            options["report"] = lambda done, steps: report(name, done, steps)
+        out = function(*args, **options)
+        report(name, 1, 1)
+        seconds.append((name, time.monotonic() - started))
+        return out
+
+    prior = stage("load prior", load_prior) if prior is None else prior
+    prior = prior.to(device)
+    key = fit_key(portrait, prior, repr((settings.geometry, settings.appearance)))
+    geometry = kept_geometry(work, key, device=device) if work else None
+    if geometry is None:
+        geometry = stage("fit geometry", fit_geometry, portrait, prior, settings.geometry, device=device)
+        if work:
+            keep_geometry(geometry, work, key)
+    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    appearance = kept_appearance(work, key) if work else None
+    if appearance is None:
+        appearance = stage("fit appearance", fit_appearance, posed, geometry, prior, settings.appearance)
+        if work:
+            keep_appearance(appearance, work, key)
+    head, light = appearance.head, appearance.light
+    surface = stage("extract", extract_mesh, head, settings.extract, device=device)
+    surface = stage("clean", clean_mesh, surface, settings.clean)
+    mesh = stage("simplify", simplify_mesh, surface, settings.max_triangles)
+    atlas = stage("unwrap", unwrap, mesh, settings.unwrap)
+    world_from_canonical = np.linalg.inv(geometry.canonical_from_world)
+    textures = stage("bake", bake, head, mesh, atlas, light, world_from_canonical, settings.bake)
+    avatar = Avatar(
+        mesh.transformed(world_from_canonical),
+        atlas,
+        textures,
+        light,
+        ROUGHNESS,
+        geometry.canonical_from_world,
+        portrait.metres_per_unit,
+        portrait.name,
+    )
+    view = stage("render", render_view, head, surface, portrait.camera, geometry.canonical_from_world, light)
+    return Journey(posed, geometry, appearance, surface, avatar, view, tuple(seconds))
