@@ -148,7 +148,7 @@ def _split_nonmanifold(mesh: TriangleMesh) -> TriangleMesh:
     area = np.linalg.norm(face_cross_products(mesh.vertices, faces), axis=1)
     while True:
         key = edge_keys(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
-        names, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
+        _, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
         crowded = (counts > 2)[inverse].reshape(-1, 3).any(1)
         if not crowded.any():
             break

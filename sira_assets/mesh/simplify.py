@@ -81,7 +81,7 @@ def transfer_normals(points: np.ndarray, mesh: TriangleMesh, raycaster: Raycaste
 
 
 def barycentric(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N, 3) weights, clipped to the triangle, of points (N, 3) in triangles (N, 3, 3); a third each where degenerate."""
+    """(N, 3) weights, clipped to the triangle, of points (N, 3) in triangles (N, 3, 3); thirds where degenerate."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     square = (normal**2).sum(1)
