@@ -134,7 +134,7 @@ def draw_samples(vertices_m: np.ndarray, faces: np.ndarray, config: CalibrationC
     pick = rng.choice(len(faces), config.samples, p=p / p.sum())
     b = rng.dirichlet([1.0, 1.0, 1.0], config.samples)
     x = (corner[pick] * b[..., None]).sum(1)
-    scale = rng.choice([0.0, 0.6, 2.0, 7.0, 20.0, 60.0], config.samples, p=[0.32, 0.22, 0.14, 0.14, 0.10, 0.08])
+    scale = rng.choice([0.0, 0.6, 2.0, 7.0, 20.0, 60.0], config.samples, p=[0.27, 0.19, 0.15, 0.21, 0.10, 0.08])
     x = x + n[pick] * (scale * rng.normal(size=config.samples))[:, None]
     closest = scene.compute_closest_points(o3d.core.Tensor(x.astype(np.float32)))
     foot = closest["points"].numpy().astype(np.float64)
@@ -278,6 +278,22 @@ def add_strokes(t: Template, samples: Samples, count: int, seed: int) -> Templat
     )
 
 
+def hard_samples(t: Template, samples: Samples, copies: int = 12) -> Samples:
+    """The samples with those repeated whose side of the surface the template gets wrong by more than a millimetre."""
+    with torch.no_grad():
+        x = torch.tensor(samples.x_mm, dtype=torch.float32)
+        f = torch.cat([template_field(t, c) for c in x.split(8000)]).numpy()
+    d = samples.distance_mm
+    wrong = np.flatnonzero((np.sign(f) != np.sign(d)) & (np.abs(d) > 1.0) | (np.abs(f - d) > 2.0) & (np.abs(d) < 1.0))
+    print(len(wrong), "samples on the wrong side or off by 2 mm", flush=True)
+    again = np.repeat(wrong, copies)[: len(d) // 2]
+    return Samples(
+        np.vstack([samples.x_mm, samples.x_mm[again]]),
+        np.r_[d, d[again]],
+        np.r_[samples.weight, samples.weight[again]],
+    )
+
+
 def residual(t: Template, samples: Samples) -> str:
     """One line: mean |f| on the surface, by region, in millimetres."""
     on = np.flatnonzero(np.abs(samples.distance_mm) < 0.01)[:30_000]
@@ -313,7 +329,8 @@ def main(argv: list[str] | None = None) -> int:
     print(residual(t, samples), flush=True)
     for done in range(0, config.added_strokes, config.added_at_once):
         t = add_strokes(t, samples, config.added_at_once, config.seed + done)
-        t = optimise(t, samples, config, max(config.steps // 3, 1), config.rate * 0.7)
+        harder = hard_samples(t, samples)
+        t = optimise(t, harder, config, max(config.steps // 3, 1), config.rate * 0.7)
         print(len(t.strokes.name), "strokes", residual(t, samples), flush=True)
         options.out.write_text(json.dumps(template_to_json(t)))
     options.out.write_text(json.dumps(template_to_json(t)))
