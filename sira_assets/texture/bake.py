@@ -2,7 +2,8 @@
 
 Notation: each texel averages k x k surface samples; a sample's point x on the mesh is moved onto the field's zero set
 (x', at most a few millimetres away) and asked there, so the maps carry the field's detail and not the triangles'.
-Irradiance E(n) = integral of L(w) max(0, n.w) over the sphere, of the SG light alone (no shadows), in the canonical frame.
+Irradiance E(n) = integral of L(w) max(0, n.w) over the sphere, of the SG light alone, without shadows.
+Everything is in the canonical frame.
 """
 
 from dataclasses import dataclass, field
@@ -90,9 +91,8 @@ def bake(
         last = min(first + config.rows_per_chunk, size)
         samples = rasterise(atlas.uv, atlas.faces_uv, size, samples=config.samples, first_row=first, last_row=last)
         if len(samples.face):
-            sums[first * size : last * size] = _bake_rows(
-                field, surface, samples, first * size, last * size, config, device
-            )
+            rows = slice(first * size, last * size)
+            sums[rows] = _bake_rows(field, surface, samples, rows, config, device)
     coverage = sums[:, 10] > 0
     if not coverage.any():
         raise InputError(expected="an atlas that covers some texels", received="none", remedy="unwrap again")
@@ -132,8 +132,7 @@ def _bake_rows(
     field: HeadField,
     surface: _Surface,
     samples: AtlasSamples,
-    first_texel: int,
-    last_texel: int,
+    rows: slice,
     config: BakeConfig,
     device: str,
 ) -> np.ndarray:
@@ -166,12 +165,12 @@ def _bake_rows(
             np.ones(len(position)),
         ]
     )
-    local = samples.texel - first_texel
-    return np.stack([np.bincount(local, column, last_texel - first_texel) for column in columns.T], 1)
+    local = samples.texel - rows.start
+    return np.stack([np.bincount(local, column, rows.stop - rows.start) for column in columns.T], 1)
 
 
 def _irradiance(normals: np.ndarray, light: SGLight, world_from_canonical: np.ndarray) -> np.ndarray:
-    """(N, 3) irradiance at canonical unit normals; the light is turned into the canonical frame instead of the normals."""
+    """(N, 3) irradiance at canonical unit normals; the light is turned into their frame."""
     if not len(light):
         return np.zeros((len(normals), 3), np.float32)
     import torch

@@ -1,9 +1,9 @@
 """Which part of which face lies at each texel: scan conversion of an atlas.
 
-Notation: S texels and k S samples a side; x right and y down, in texels; row 0 on top. A sample belongs to the face that
-holds its centre (edges half-open, so neighbours neither gap nor overlap); a texel that is touched by a face but holds no
-sample takes the point of that face nearest to its centre. So each texel that a face touches gets a value of its own
-surface: the conservative coverage that bilinear reading at a chart's border needs.
+Notation: S texels and k S samples a side; x right and y down, in texels; row 0 on top. A sample belongs to the face
+that holds its centre (edges half-open, so neighbours neither gap nor overlap); a texel that is touched by a face but
+holds no sample takes the point of that face nearest to its centre. So each texel that a face touches gets a value of
+its own surface: the conservative coverage that bilinear reading at a chart's border needs.
 """
 
 from dataclasses import dataclass
@@ -93,7 +93,7 @@ def _expand(start: np.ndarray, stop: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _edges(corners: np.ndarray, face: np.ndarray):
-    """The three edges of each face, ends ordered by (y, x): an edge that two faces share is then the same to the bit."""
+    """The three edges of each face, ends ordered by (y, x): an edge that two faces share is the same to the bit."""
     for k in range(3):
         a, b = corners[face, k], corners[face, (k + 1) % 3]
         swap = (a[:, 1] > b[:, 1]) | ((a[:, 1] == b[:, 1]) & (a[:, 0] > b[:, 0]))

@@ -2,7 +2,8 @@
 
 Notation: n the mesh's vertex normal, t the direction in which u grows, w = +1 or -1 with bitangent b = w n x t, the
 direction in which v grows. Faces are averaged by corner angle and t is made orthogonal to n at each vertex, as in
-MikkTSpace (Mikkelsen 2008, "Simulation of Wrinkled Surfaces Revisited"), on the vertices that the atlas has already split.
+MikkTSpace (Mikkelsen 2008, "Simulation of Wrinkled Surfaces Revisited"), on the vertices
+that the atlas has already split.
 """
 
 import numpy as np
@@ -14,8 +15,8 @@ from sira_assets.texture.atlas import Atlas, signed_uv_areas, vertex_of_uv
 def tangents(mesh: TriangleMesh, atlas: Atlas) -> np.ndarray:
     """(T, 4) float64: unit tangent orthogonal to the vertex normal, and handedness w of +1 or -1.
 
-    The same array serves the bake and the file, so a viewer decodes what was encoded. Atlas vertices whose faces have no
-    area in the picture get any tangent orthogonal to the normal.
+    The same array serves the bake and the file, so a viewer decodes what was encoded. Atlas vertices whose faces
+    have no area in the picture get any tangent orthogonal to the normal.
     """
     normal = mesh.normals[vertex_of_uv(mesh, atlas)]
     corners, uv = mesh.vertices[mesh.faces], atlas.uv[atlas.faces_uv]

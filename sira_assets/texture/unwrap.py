@@ -179,10 +179,8 @@ def _put_back(
     out[sound] = faces_uv
     if sound.all():
         return uv, out
-    originals = {
-        tuple(sorted(face)): number
-        for number, face in zip(np.flatnonzero(sound), mesh.faces[sound].tolist(), strict=True)
-    }
+    numbers = np.flatnonzero(sound).tolist()
+    originals = {tuple(sorted(mesh.faces[number].tolist())): number for number in numbers}
     somewhere = np.zeros(len(mesh.vertices), np.int64)
     somewhere[mesh.faces[sound]] = faces_uv
     extra: list[np.ndarray] = []

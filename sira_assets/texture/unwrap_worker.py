@@ -26,7 +26,7 @@ def xatlas_atlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: in
     atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
     atlas.generate(charts, packing, False)
     _, faces_uv, uv = atlas.get_mesh(0)
-    # xatlas picks its own rectangle near `size` and normalises each axis by it: back to texels, then one scale for both.
+    # xatlas picks its own rectangle near `size` and normalises each axis by it: back to texels, then one scale.
     texels = np.asarray(uv, np.float64) * np.array([atlas.width, atlas.height])
     return texels / max(atlas.width, atlas.height), np.asarray(faces_uv, np.int64)
 
