@@ -175,8 +175,8 @@ def face_luminance(mesh: TriangleMesh, diffuse: np.ndarray, light: SGLight, face
 
 
 def sample_exposure(rng: np.random.Generator, face_albedo_luminance: float) -> float:
-    """The linear luminance that the face gets on average: 0.11 to 0.32 for mid skin (0.37 to 0.60 once encoded).
+    """The linear luminance that the face gets on average: 0.13 to 0.36 for mid skin (0.40 to 0.64 once encoded).
 
     Photographers, and cameras, expose dark skin darker than light skin but by less than it differs: exponent 0.4.
     """
-    return float(_log_uniform(rng, 0.11, 0.32) * (np.clip(face_albedo_luminance, 0.03, 0.6) / 0.3) ** 0.4)
+    return float(_log_uniform(rng, 0.13, 0.36) * (np.clip(face_albedo_luminance, 0.03, 0.6) / 0.3) ** 0.4)

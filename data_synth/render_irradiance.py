@@ -10,7 +10,7 @@ import numpy as np
 
 # Cosine tables are uniform in the angle, not the cosine, since E bends most where c is near -1 and +1.
 TABLE_SIZE = 1024
-QUADRATURE_NODES = 400
+QUADRATURE_NODES = 96  # in each of three intervals
 
 
 @lru_cache(maxsize=256)
@@ -19,8 +19,9 @@ def irradiance_table(sharpness: float) -> np.ndarray:
 
     The azimuth about the axis is integrated in closed form: with A = c cos(theta) and B = sqrt(1 - c^2) sin(theta),
     the integral of max(0, A + B cos(phi)) over phi is 2 (A phi0 + B sin(phi0)), phi0 = arccos(clip(-A / B, -1, 1)).
-    The polar angle is integrated by Gauss-Legendre nodes in t = 1 - cos(theta) over [0, min(2, 40 / lambda)]:
-    beyond that the lobe is below e^-40. Absolute error below 1e-5 of the head-on value for lambda in [1e-6, 1e6].
+    The polar angle is integrated up to where the lobe has fallen to e^-40, or to pi, by Gauss-Legendre nodes in the
+    three intervals between the circles about the axis that touch the horizon: there the integrand has kinks.
+    Absolute error below 1e-6 of the head-on value for lambda in [1e-6, 1e6].
 
     Parameters
     ----------
@@ -28,15 +29,18 @@ def irradiance_table(sharpness: float) -> np.ndarray:
     """
     angle = np.linspace(0.0, np.pi, TABLE_SIZE)[:, None]
     nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE_NODES)
-    reach = min(2.0, 40.0 / sharpness)
-    # t = reach u^2 gathers nodes at the axis, where both the gaussian and sin(theta) = sqrt(t (2 - t)) change fastest.
-    u = 0.5 * (nodes + 1.0)
-    t = reach * u**2
-    weight = weights * 0.5 * reach * 2.0 * u * np.exp(-sharpness * t)
-    a = np.cos(angle) * (1.0 - t)
-    b = np.abs(np.sin(angle)) * np.sqrt(t * (2.0 - t))
+    reach = 2.0 * np.arcsin(min(1.0, np.sqrt(20.0 / sharpness)))
+    touches = np.abs(0.5 * np.pi - angle)
+    edges = np.minimum(np.concatenate([0.0 * angle, touches, np.pi - touches, 0.0 * angle + np.pi], axis=1), reach)
+    low, width = edges[:, :-1, None], np.diff(edges, axis=1)[:, :, None]
+    theta = (low + 0.5 * width * (nodes + 1.0)).reshape(TABLE_SIZE, -1)
+    weights = (0.5 * width * weights).reshape(TABLE_SIZE, -1)
+    # 1 - cos(theta) = 2 sin^2(theta / 2) keeps its digits near the axis, where sharp lobes live.
+    weight = weights * np.sin(theta) * np.exp(-2.0 * sharpness * np.sin(0.5 * theta) ** 2)
+    a = np.cos(angle) * np.cos(theta)
+    b = np.abs(np.sin(angle)) * np.sin(theta)
     phi0 = np.arccos(np.clip(-a / np.maximum(b, 1e-300), -1.0, 1.0))
-    table = (2.0 * (a * phi0 + b * np.sin(phi0))) @ weight
+    table = (2.0 * (a * phi0 + b * np.sin(phi0)) * weight).sum(1)
     table.setflags(write=False)
     return table
 

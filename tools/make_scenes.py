@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Write synthetic head scenes with exact truth: pictures, masks, cameras, lights, geometry and materials.
 
-A scene depends only on the kind, the seed, its index and the settings, so a run may be stopped (Ctrl-C), resumed by the same
-command, split over machines with --start, or spread over any number of workers, with the same bytes in the end.
+A scene depends only on the kind, the seed, its index and the settings, so a run may be stopped (Ctrl-C), resumed by
+the same command, split over machines with --start, or spread over any number of workers: the bytes stay the same.
 """
 
 import argparse
