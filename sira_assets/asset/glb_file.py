@@ -18,12 +18,7 @@ MAX_VERTICES_16_BIT = 65535
 
 
 class GlbFile:
-    """Collects buffer views, accessors and images; `to_bytes` closes the file.
-
-    Parameters
-    ----------
-    document : the JSON's other top-level entries
-    """
+    """Collects buffer views, accessors and images; `to_bytes` makes the file of them."""
 
     def __init__(self):
         self._blob = bytearray()
