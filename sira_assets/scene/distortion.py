@@ -47,6 +47,8 @@ class Distortion:
         # The map contracts by about 3 |k1| r^2 a step, below 1/2 for any lens worth undistorting.
         for _ in range(50):
             error = pixels - self.distorted(ideal, intrinsics)
+            if not np.abs(error).max(initial=0.0) < 1e6:
+                break  # it runs away; the check below refuses
             ideal = ideal + error
         if not np.abs(error).max(initial=0.0) < 0.01:
             raise InputError(

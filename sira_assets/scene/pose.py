@@ -19,7 +19,7 @@ MIN_LANDMARKS = 6  # 12 equations for 6 unknowns; with fewer, one wrong point go
 
 # A landmark's expected miss, in canonical metres: the spread of people (root mean square over the axes, 2000 identities
 # of ICT-FaceKit brought to the canonical frame: 1.1 to 2.2 mm) and, in quadrature, that of a detector (about 2 mm; 6 mm
-# at the chin, which detectors place worst) and, at the corners of the mouth, 4 mm of expression: people smile in photos.
+# at the chin, which detectors place worst) and, at the corners of the mouth, 4 mm of expression: a photo smiles.
 LANDMARK_SPREAD_M: Mapping[str, float] = {
     "right_eye_outer": 0.0024,
     "right_eye_inner": 0.0023,
