@@ -92,8 +92,9 @@ def _gallery(pictures: tuple[Picture, ...]) -> str:
 
 def _figure_html(picture: Picture) -> str:
     uri, name, caption = data_uri(picture), _text(picture.name), _text(picture.caption)
+    under = f"{name}: {caption}" if caption else name
     return (
-        f'<figure><a href="#" data-caption="{name}: {caption}"><img src="{uri}" alt="{name}"></a>'
+        f'<figure><a href="#" data-caption="{under}"><img src="{uri}" alt="{name}"></a>'
         f"<figcaption><b>{name}</b>{caption}</figcaption></figure>"
     )
 
