@@ -14,10 +14,12 @@ import numpy as np
 
 WAVELENGTH_NM = np.array([620.0, 540.0, 460.0])
 MELANIN_PER_CM = 6.6e11 * WAVELENGTH_NM**-3.33
-# whole blood, 150 g/l haemoglobin, 75 % oxygenated
-BLOOD_PER_CM = np.array([12.5, 276.0, 210.0])
-BASELINE_PER_CM = 0.244 + 85.3 * np.exp(-(WAVELENGTH_NM - 154.0) / 66.2)
-SCATTERING_PER_CM = 46.0 * (WAVELENGTH_NM / 500.0) ** -1.42
+# Whole blood, 150 g/l haemoglobin, 75 % oxygenated, averaged over the bands of a camera (590-640, 500-590, 435-490 nm):
+# its lines are far narrower than those, and single wavelengths on the 540 nm peak make light skin purple.
+BLOOD_PER_CM = np.array([20.0, 185.0, 340.0])
+# the last term is carotene and bilirubin, which absorb blue only; fitted so that fair skin has the blue of real albedos
+BASELINE_PER_CM = 0.244 + 85.3 * np.exp(-(WAVELENGTH_NM - 154.0) / 66.2) + np.array([0.0, 0.0, 3.0])
+SCATTERING_PER_CM = 68.7 * (WAVELENGTH_NM / 500.0) ** -1.161
 EPIDERMIS_CM = 0.006
 REFRACTIVE_INDEX = 1.4
 
@@ -30,7 +32,7 @@ def skin_albedo(melanin: np.ndarray, haemoglobin: np.ndarray) -> np.ndarray:
     melanin : (N,) array
         Volume fraction of melanosomes in the epidermis, about 0.013 to 0.43.
     haemoglobin : (N,) array
-        Volume fraction of blood in the dermis, about 0.002 to 0.07.
+        Volume fraction of blood in the dermis, about 0.002 to 0.03.
 
     Returns
     -------
