@@ -58,7 +58,7 @@ def test_one_bad_landmark_moves_the_head_little():
     pixels["mouth_left"] = pixels["mouth_left"] + [40.0, 0.0]  # 60 mm off
     found = camera_from_canonical(pixels, K)
     turn = Rotation.from_matrix(found[:3, :3].T @ pose[:3, :3]).magnitude()
-    assert np.degrees(turn) < 5.0  # plain least squares: 12 degrees
+    assert np.degrees(turn) < 5.0  # measured 1.9; plain least squares: 14
     assert abs(found[2, 3] / 1.5 - 1) < 0.05
 
 
