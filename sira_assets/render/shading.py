@@ -31,26 +31,26 @@ class Shading:
     irradiance : (N, 3)
     """
 
-    diffuse_radiance: Float[Tensor, "*n 3"]
-    specular_radiance: Float[Tensor, "*n 3"]
-    irradiance: Float[Tensor, "*n 3"]
+    diffuse_radiance: Float[Tensor, "n 3"]
+    specular_radiance: Float[Tensor, "n 3"]
+    irradiance: Float[Tensor, "n 3"]
 
     @property
-    def radiance(self) -> Float[Tensor, "*n 3"]:
+    def radiance(self) -> Float[Tensor, "n 3"]:
         """Diffuse and specular together."""
         return self.diffuse_radiance + self.specular_radiance
 
 
 def shade(
-    normals: Float[Tensor, "*n 3"],
-    view: Float[Tensor, "*n 3"],
-    diffuse: Float[Tensor, "*n 3"],
-    specular_f0: Float[Tensor, "*n"],
+    normals: Float[Tensor, "n 3"],
+    view: Float[Tensor, "n 3"],
+    diffuse: Float[Tensor, "n 3"],
+    specular_f0: Float[Tensor, " n"],
     axis: Float[Tensor, "m 3"],
     sharpness: Float[Tensor, " m"],
     amplitude: Float[Tensor, "m 3"],
     *,
-    roughness: float | Tensor = ROUGHNESS,
+    roughness: float = ROUGHNESS,
     grade: Grade = "accurate",
 ) -> Shading:
     """Shade points by distant light.
@@ -62,8 +62,10 @@ def shade(
     specular_f0 : (N,) in [0, 1]
     axis, sharpness, amplitude : the light's lobes, in the frame of the normals
     roughness : 0.05 to 1
-    grade : see `numerics.sg.irradiance`
+    grade : see `numerics.sg.irradiance` and `numerics.sg_specular.specular_radiance`
     """
     light = irradiance(normals, axis, sharpness, amplitude, grade=grade)
-    specular = specular_radiance(normals, view, specular_f0, axis, sharpness, amplitude, roughness=roughness)
+    specular = specular_radiance(
+        normals, view, specular_f0, axis, sharpness, amplitude, roughness=roughness, grade=grade
+    )
     return Shading(diffuse * light / math.pi, specular, light)
