@@ -158,7 +158,7 @@ def write_dataset(
     out = Path(out)
     if workers < 1:
         raise InputError(expected="at least one worker", received=f"{workers}", remedy="use --workers 1 or more")
-    _claim_folder(out, settings)
+    claim_folder(out, settings)
     todo = []
     for index in indices:
         if (out / scene_name(settings, index)).is_dir():
@@ -181,8 +181,8 @@ def write_dataset(
                 on_scene(*future.result())
 
 
-def _claim_folder(out: Path, settings: SceneSettings) -> None:
-    """Say in `out` how its scenes of this kind are made, or check that they are made that way."""
+def claim_folder(out: Path, settings: SceneSettings) -> None:
+    """Say in `out` how its scenes of this kind are made, or raise InputError if they are made in another way."""
     path = out / f"{settings.kind}.json"
     if not path.exists():
         write_text(path, json.dumps(asdict(settings), indent=1) + "\n")

@@ -38,13 +38,13 @@ def main(argv: list[str] | None = None) -> int:
 
 def make_scenes(arguments: argparse.Namespace) -> int:
     """Write the scenes that are missing, with a progress bar on stderr."""
-    from data_synth.dataset import SceneSettings, scene_name, write_dataset
+    from data_synth.dataset import SceneSettings, claim_folder, scene_name, write_dataset
     from sira_assets.errors import InputError
 
-    if arguments.count < 1 or arguments.start < 0:
+    if arguments.count < 1 or arguments.start < 0 or arguments.workers < 1:
         raise InputError(
-            expected="--count of at least 1 and --start of at least 0",
-            received=f"--count {arguments.count} --start {arguments.start}",
+            expected="--count and --workers of at least 1 and --start of at least 0",
+            received=f"--count {arguments.count} --workers {arguments.workers} --start {arguments.start}",
             remedy="give such numbers",
         )
     settings = SceneSettings(
@@ -56,6 +56,7 @@ def make_scenes(arguments: argparse.Namespace) -> int:
         supersample=arguments.supersample,
     )
     indices = range(arguments.start, arguments.start + arguments.count)
+    claim_folder(arguments.out, settings)  # here, so that a refusal is not printed into the progress bar
 
     from rich.console import Console
     from rich.progress import (

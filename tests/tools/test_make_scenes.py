@@ -1,0 +1,96 @@
+"""make_scenes.py: same bytes however it is run, resumes, refuses what makes no sense."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "make_scenes.py"
+SMALL = ("--views", "2", "--size", "32", "--samples", "8", "--quiet")
+
+
+def make_scenes(*arguments: object) -> subprocess.CompletedProcess:
+    command = [sys.executable, str(TOOL), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.slow
+def test_bytes_do_not_depend_on_workers_order_or_resumption(tmp_path):
+    at_once, in_parts = tmp_path / "at_once", tmp_path / "in_parts"
+    assert make_scenes("--count", 2, "--out", at_once, "--workers", 2, *SMALL).returncode == 0
+    assert make_scenes("--count", 1, "--start", 1, "--out", in_parts, "--workers", 1, *SMALL).returncode == 0
+    written = (in_parts / "train_000001" / "image.exr").stat().st_mtime_ns
+    assert make_scenes("--count", 2, "--out", in_parts, "--workers", 1, *SMALL).returncode == 0
+    assert (in_parts / "train_000001" / "image.exr").stat().st_mtime_ns == written
+    first, second = contents(at_once), contents(in_parts)
+    assert first.keys() == second.keys()
+    assert [name for name in first if first[name] != second[name]] == []
+    assert len({bytes(v) for k, v in first.items() if k.endswith("gt/mesh.ply")}) == 2
+
+
+@pytest.mark.slow
+def test_ctrl_c_exits_with_130_and_leaves_only_whole_scenes(tmp_path):
+    command = [sys.executable, str(TOOL), "--count", "50", "--out", str(tmp_path), "--workers", "1", *SMALL]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    begun = time.monotonic()
+    while not (tmp_path / "train.json").exists() and time.monotonic() - begun < 120:
+        time.sleep(0.2)
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    for folder in tmp_path.glob("train_*"):
+        assert (folder / "transforms.json").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("--count", 0), ("--count", 1, "--size", 4), ("--count", 1, "--supersample", 3), ("--count", 1, "--workers", 0)],
+)
+def test_senseless_numbers_end_with_3_and_one_line(tmp_path, arguments):
+    result = make_scenes(*arguments, "--out", tmp_path / "out")
+    assert result.returncode == 3
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.stderr.startswith("error: expected")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_begun_with_other_settings_is_refused(tmp_path):
+    from data_synth.dataset import SceneSettings, write_dataset
+    from sira_assets.errors import InputError
+
+    assert write_dataset(tmp_path, SceneSettings(views=2), range(0)) == 0
+    with pytest.raises(InputError, match="views 2"):
+        write_dataset(tmp_path, SceneSettings(views=3), range(1))
+
+
+def test_train_and_eval_may_share_a_folder_but_never_a_random_stream(tmp_path):
+    import numpy as np
+
+    from data_synth.dataset import KINDS, SceneSettings, scene_name, write_dataset
+
+    for kind in KINDS:
+        write_dataset(tmp_path, SceneSettings(kind=kind), range(0))
+    names = {scene_name(SceneSettings(kind=kind), 3) for kind in KINDS}
+    assert names == {"train_000003", "eval_000003"}
+    draws = [np.random.default_rng(np.random.SeedSequence(0, spawn_key=(k, 3))).integers(1 << 62) for k in (0, 1)]
+    assert draws[0] != draws[1]
+
+
+def test_help_is_instant():
+    begin = time.perf_counter()
+    result = subprocess.run(
+        [sys.executable, "-X", "importtime", str(TOOL), "--help"], capture_output=True, text=True, check=True
+    )
+    assert "--supersample" in result.stdout
+    # Whatever the machine's load, nothing heavy may be imported for it.
+    for heavy in ("numpy", "torch", "open3d", "rich"):
+        assert f"| {heavy}\n" not in result.stderr.replace("|   ", "| ")
+    assert time.perf_counter() - begin < 30
