@@ -1,17 +1,18 @@
 """From parameters to a head: hair and cloth united with the template, meshed, warped, brought to the canonical frame.
 
-Notation: ``x_template`` a point of the template, ``x_head = S(x_template + u(x_template))`` with ``u`` the identity warp and
-``S`` the least-squares similarity of the head's nine landmarks onto the canonical nine. Metres throughout.
+Notation: ``x_template`` a point of the template, ``x_head = S(x_template + u(x_template))`` with ``u`` the identity
+warp and ``S`` the least-squares similarity of the head's nine landmarks onto the canonical nine. Metres throughout.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from data_synth.head.grid import HeadGrid, extract, template_grid
-from data_synth.head.hair import STYLES, hair_field_mm
+from data_synth.head.hair import STYLES, hair_field_mm, interpolate_scalp
 from data_synth.head.identity import Warp, make_warp, warp_points
 from data_synth.head.material import cloth_cover, evaluate_material, region_of
 from data_synth.head.params import HeadParams
@@ -76,6 +77,16 @@ def _apply(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
     return x @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+@lru_cache(maxsize=1)
+def _scalp_in_box() -> np.ndarray:
+    """The scalp's distance (mm, float32) at the template grid's nodes in the hair's box."""
+    grid = template_grid()
+    axes = [a * 1e3 for a in (grid.x, grid.y, grid.z)]
+    own = [a[slice(*np.searchsorted(a, b))] for a, b in zip(axes, HAIR_BOX_MM, strict=True)]
+    nodes = np.stack(np.meshgrid(*own, indexing="ij"), -1)
+    return interpolate_scalp(nodes.reshape(-1, 3)).astype(np.float32).reshape(nodes.shape[:3])
+
+
 def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
     """The template's grid and, on it, the field (m) of head, hair and cloth together."""
     grid = template_grid()
@@ -88,13 +99,18 @@ def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
         x = np.stack([axes[0][i], axes[1][j], axes[2][k]], 1)
         floor = axes[1][0] + 6.0
         field[i, j, k] -= (1e-3 * CLOTH_MM * cloth_cover(x, params) * (x[:, 1] > floor)).astype(np.float32)
-    if STYLES[params.hair_style].top > 0:
+    style = STYLES[params.hair_style]
+    if style.top > 0:
         box = tuple(slice(*np.searchsorted(a, b)) for a, b in zip(axes, HAIR_BOX_MM, strict=True))
         part = field[box]
         # inside the head nothing changes
-        i, j, k = np.nonzero(part > -4e-3)
+        scalp = _scalp_in_box()
+        candidate = (part > -4e-3) & (scalp < (30.0 if not style.volumes else 75.0) * params.hair_length + 10.0)
+        if style.curl:
+            candidate = (part > -4e-3) & (scalp < 60.0)
+        i, j, k = np.nonzero(candidate)
         x = np.stack([axes[0][box[0]][i], axes[1][box[1]][j], axes[2][box[2]][k]], 1)
-        hair = 1e-3 * hair_field_mm(x, params)
+        hair = 1e-3 * hair_field_mm(x, params, scalp[i, j, k])
         base = part[i, j, k].astype(np.float64)
         blend = 1e-3 * HAIR_BLEND_MM
         gap = np.clip(blend - np.abs(hair - base), 0.0, None)

@@ -34,7 +34,7 @@ class CalibrationConfig:
 
     samples: int = 400_000
     steps: int = 1500
-    batch: int = 6000
+    batch: int = 4000
     added_strokes: int = 40
     added_at_once: int = 10
     rate: float = 0.03
@@ -149,15 +149,13 @@ def draw_samples(vertices_m: np.ndarray, faces: np.ndarray, config: CalibrationC
     keep &= ~far_below & (x[:, 1] > -222)
     weight = np.where(np.abs(signed) < 0.3, 2.0, 1.0)
     x, signed, weight = x[keep], signed[keep], weight[keep]
-    # below the open border nothing is measured: there the uncalibrated shoulders and chest stand in, away from the target
+    # below the open border nothing is measured: the uncalibrated shoulders stand in, away from the target
     low = rng.uniform([0, -224, -190], [190, -165, 30], (config.samples // 8, 3))
     with torch.no_grad():
         masses = initial_template()
         bust = torch.cat([masses_field(masses, c) for c in torch.tensor(low, dtype=torch.float32).split(8000)]).numpy()
     free = scene.compute_distance(o3d.core.Tensor(low.astype(np.float32))).numpy() > 12.0
-    return Samples(
-        np.vstack([x, low[free]]), np.r_[signed, bust[free]], np.r_[weight, np.full(int(free.sum()), 0.3)]
-    )
+    return Samples(np.vstack([x, low[free]]), np.r_[signed, bust[free]], np.r_[weight, np.full(int(free.sum()), 0.3)])
 
 
 def _trainable(t: Template) -> tuple[Template, list[dict]]:
@@ -195,7 +193,9 @@ def _loss(t: Template, x: torch.Tensor, d: torch.Tensor, w: torch.Tensor, near_m
     sizes = torch.clamp(smallest - t.strokes.log_size, min=0).sum() + torch.clamp(t.strokes.log_size - 4.0, min=0).sum()
     tall = torch.clamp(t.strokes.weight.abs() - 25.0, min=0).sum()
     thin = torch.clamp(math.log(1.5) - t.masses.log_size, min=0).sum()
-    blend = torch.clamp(math.log(0.5) - t.masses.weight, min=0).sum() + torch.clamp(t.lids[11:].neg() - 1.6, min=0).sum()
+    blend = (
+        torch.clamp(math.log(0.5) - t.masses.weight, min=0).sum() + torch.clamp(t.lids[11:].neg() - 1.6, min=0).sum()
+    )
     return fit + 0.5 * sign + 0.1 * (sizes + tall + thin + blend)
 
 
@@ -327,6 +327,7 @@ def main(argv: list[str] | None = None) -> int:
     start = template_from_json(json.loads(options.start.read_text())) if options.start else initial_template()
     t = optimise(start, samples, config, config.steps, config.rate)
     print(residual(t, samples), flush=True)
+    options.out.write_text(json.dumps(template_to_json(t)))
     for done in range(0, config.added_strokes, config.added_at_once):
         t = add_strokes(t, samples, config.added_at_once, config.seed + done)
         harder = hard_samples(t, samples)

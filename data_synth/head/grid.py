@@ -81,7 +81,10 @@ def sample_grid(template: Template, fine_mm: float = 1.25, coarse_mm: float = 2.
     f, c = fine_mm, coarse_mm
     x_half = graded_axis((0.0, 55.0, 72.0, 92.0, 190.0), (f, c, f, 2 * c))
     x = np.concatenate([-x_half[:0:-1], x_half])
-    y = graded_axis((template.floor_mm - 4.0, -118.0, 30.0, 180.0), (c, f, c))
+    # finest across the lips and the eyes' openings
+    y = graded_axis(
+        (template.floor_mm - 4.0, -118.0, -80.0, -58.0, -10.0, 8.0, 30.0, 180.0), (c, f, 0.65 * f, f, 0.65 * f, f, c)
+    )
     z = graded_axis((-230.0, -108.0, -5.0, 62.0), (c, 0.5 * (f + c), f))
     stride = 7.0
     axes = tuple(graded_axis((a[0], a[-1]), (stride,)) for a in (x, y, z))

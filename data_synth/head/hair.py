@@ -73,7 +73,7 @@ STYLES = {
         relief=1.6,
         waves=48,
         part=5,
-        volumes=((64, -40, -76, 24, 66, 46), (0, -38, -112, 74, 66, 58)),
+        volumes=((64, -36, -78, 32, 70, 46), (0, -34, -112, 78, 70, 60)),
     ),
     "long": HairStyle(
         top=13,
@@ -82,7 +82,7 @@ STYLES = {
         relief=1.8,
         waves=52,
         part=4,
-        volumes=((66, -70, -74, 22, 112, 38), (0, -90, -122, 76, 118, 46)),
+        volumes=((64, -62, -76, 31, 116, 40), (0, -80, -124, 80, 122, 50)),
     ),
     "bun": HairStyle(top=5, side=4, back=5, relief=0.7, waves=64, volumes=((0, 72, -178, 31, 29, 28),), front=300.0),
 }
@@ -119,7 +119,7 @@ def scalp_distance(step_mm: float = 5.0) -> ScalpDistance:
     import open3d as o3d
     from skimage.measure import marching_cubes
 
-    half = graded_axis((0.0, 150.0), (step_mm,))
+    half = graded_axis((0.0, 200.0), (step_mm,))
     x = np.concatenate([-half[:0:-1], half])
     y, z = graded_axis((-235.0, 165.0), (step_mm,)), graded_axis((-235.0, 70.0), (step_mm,))
     nodes = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1)
@@ -188,17 +188,9 @@ def hairline_height(x_mm: np.ndarray, recede_mm: float = 0.0) -> np.ndarray:
     return np.where(x_mm[:, 1] > 96.0, np.maximum(x_mm[:, 1] - line, 20.0), x_mm[:, 1] - line)
 
 
-def hair_field_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
-    """The hair's field ``h`` (mm, negative inside) at template points (N, 3) in mm; +inf where there is none."""
-    style = STYLES[params.hair_style]
-    if style.top == 0.0:
-        return np.full(len(x_mm), np.inf)
-    size = params.hair_length
+def _layer_thickness(x_mm: np.ndarray, style: HairStyle, seed: int) -> np.ndarray:
+    """Thickness of the layer over the scalp (mm) where hair is fully grown."""
     y, z = x_mm[:, 1], x_mm[:, 2]
-    d = interpolate_scalp(x_mm)
-    above = hairline_height(x_mm, style.recede)
-    wobble = 2.0 * curls(x_mm, params.seed + 5, 8, 14.0)
-    grown = smoothstep(above + wobble, 0.0, style.edge)
     upper = smoothstep(y, 20.0, 85.0)
     rear = smoothstep(-z, 90.0, 140.0)
     thick = (style.side * (1 - rear) + style.back * rear) * (1 - upper) + style.top * upper
@@ -206,12 +198,17 @@ def hair_field_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
         crown = np.exp(-0.5 * (((x_mm - [0, 95, -95]) / [36, 40, 44]) ** 2).sum(-1))
         thick = thick * (1 - style.thin_crown * crown)
     if style.part:
-        side = 26.0 if params.seed % 2 else -26.0
-        line = np.exp(-0.5 * ((x_mm[:, 0] - side) / 3.5) ** 2) * smoothstep(z, -120.0, -80.0) * upper
-        thick = thick - np.minimum(style.part, thick) * line
-        thick = thick + 0.2 * style.top * upper * np.exp(-0.5 * ((x_mm[:, 0] + 0.6 * side) / 30.0) ** 2)
-    thick = thick * size
-    h = d - ((thick + 3.0) * grown - 3.0)
+        side = 26.0 if seed % 2 else -26.0
+        line = np.exp(-0.5 * ((x_mm[:, 0] - side) / 4.0) ** 2) * smoothstep(z, -120.0, -80.0) * upper
+        thick = thick - np.minimum(style.part, 0.8 * thick) * line
+        thick = thick + 0.25 * style.top * upper * np.exp(-0.5 * ((x_mm[:, 0] + 0.6 * side) / 30.0) ** 2)
+    return thick
+
+
+def _hanging_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
+    """Union of the hanging volumes (mm), cut off in front so that the face stays free."""
+    y, z = x_mm[:, 1], x_mm[:, 2]
+    out = np.full(len(x_mm), np.inf)
     for cx, cy, cz, rx, ry, rz in style.volumes:
         length = size if ry > 50 else 1.0
         local = np.stack([np.abs(x_mm[:, 0]) - cx, y - (cy + 40 * (1 - length)), z - cz], -1)
@@ -219,11 +216,44 @@ def hair_field_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
         k0 = np.sqrt(((local / r) ** 2).sum(-1)) + 1e-9
         k1 = np.sqrt(((local / r**2) ** 2).sum(-1)) + 1e-9
         volume = np.maximum(k0 * (k0 - 1) / k1, z - (style.front + 150.0 * smoothstep(y, 20.0, 70.0)))
+        gap = np.clip(10.0 - np.abs(out - volume), 0.0, None)
+        out = np.minimum(out, volume) - gap * gap / 40.0
+    return out
+
+
+def hair_field_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray | None = None) -> np.ndarray:
+    """The hair's field ``h`` (mm, negative inside) at template points (N, 3) in mm; +inf where there is none.
+
+    ``d_mm``: the scalp's distance there, if it is at hand. Relief is added within 9 mm of the hair's surface.
+    """
+    style = STYLES[params.hair_style]
+    if style.top == 0.0:
+        return np.full(len(x_mm), np.inf)
+    size = params.hair_length
+    d = interpolate_scalp(x_mm) if d_mm is None else d_mm.astype(np.float64)
+    reach = 1.3 * size * max(style.top, style.side, style.back) + 10.0
+    h = d - reach + 4.0
+    near = np.flatnonzero((np.abs(d) < reach) & (x_mm[:, 1] > -110.0))
+    x = x_mm[near]
+    grown = np.zeros(len(x_mm))
+    above = hairline_height(x, style.recede) + 1.5 * curls(x, params.seed + 5, 8, 14.0)
+    thick = size * _layer_thickness(x, style, params.seed)
+    # in front the layer rises slowly from the forehead; elsewhere it ends in a cut
+    front = smoothstep(x[:, 2], -75.0, -30.0)
+    grown[near] = smoothstep(above / (style.edge + (0.4 + 1.1 * front) * thick), 0.0, 1.0)
+    h[near] = d[near] - ((thick + 3.0) * grown[near] - 3.0)
+    waves_of = np.flatnonzero((np.abs(h) < 9.0) & (grown > 0))
+    if style.relief:
+        ripple = style.relief * np.clip(strand_waves(x_mm[waves_of], style.waves, params.seed), -2.2, 2.2)
+        h[waves_of] -= ripple * grown[waves_of]
+    if style.curl:
+        ripple = style.curl * np.clip(curls(x_mm[waves_of], params.seed), -2.2, 2.2)
+        h[waves_of] -= ripple * grown[waves_of]
+    if style.volumes:
+        volume = _hanging_mm(x_mm, style, size)
+        own = np.flatnonzero(np.abs(volume) < 9.0)
+        ripple = style.relief * np.clip(strand_waves(x_mm[own], style.waves, params.seed), -2.2, 2.2)
+        volume[own] -= ripple
         gap = np.clip(8.0 - np.abs(h - volume), 0.0, None)
         h = np.minimum(h, volume) - gap * gap / 32.0
-    if style.relief:
-        fade = grown if not style.volumes else np.maximum(grown, smoothstep(-z, -style.front, 4 - style.front))
-        h = h - style.relief * strand_waves(x_mm, style.waves, params.seed) * fade
-    if style.curl:
-        h = h - style.curl * curls(x_mm, params.seed) * grown
     return h

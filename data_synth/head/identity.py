@@ -1,7 +1,7 @@
 """Identity: a smooth warp of space that carries the template's landmarks onto a person's, and named shape on top.
 
-Notation: ``x`` template point (m), ``l`` landmark, ``u(x)`` displacement, ``x_head = x + u(x)``. The landmark part is the
-posterior mean of a Gaussian process with kernel ``K(r) = a exp(-r^2/2A^2) + b exp(-r^2/2B^2)`` given the landmarks'
+Notation: ``x`` template point (m), ``l`` landmark, ``u(x)`` displacement, ``x_head = x + u(x)``. The landmark part is
+the posterior mean of a Gaussian process with kernel ``K(r) = a exp(-r^2/2A^2) + b exp(-r^2/2B^2)`` given the landmarks'
 displacements with noise ``n`` (the regulariser): it follows the landmarks to a fraction of a millimetre and dies out
 away from the face. Named parameters are Gaussian-windowed displacements in millimetres per sigma.
 """
@@ -141,7 +141,7 @@ def named_displacement_mm(x_mm: np.ndarray, s: NamedShape) -> np.ndarray:
 
 def _expression_mm(x_mm: np.ndarray, folded: np.ndarray, side: np.ndarray, s: NamedShape) -> np.ndarray:
     u = np.zeros_like(x_mm)
-    x, y, z = x_mm.T
+    y, z = x_mm[:, 1], x_mm[:, 2]
     if s.smile:
         corner = s.smile * _bump(folded, (26, -70, 14), (9, 9, 14))
         cheek = s.smile * _bump(folded, (36, -42, 8), (15, 13, 18))

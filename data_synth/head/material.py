@@ -83,7 +83,8 @@ def masks(x_mm: np.ndarray, params: HeadParams) -> Masks:
         p = torch.tensor(x_mm, dtype=template.eyeball.dtype)
         ball = eyeball_field(template, p).numpy()
         opening, upper, lower = (a.numpy() for a in lid_opening(template, p))
-    eye = smoothstep(-ball, -0.75, -0.4) * smoothstep(-opening, -0.35, 0.15) * smoothstep(z, -2.0, 0.0)
+    # the narrow gap between lid and eyeball counts as eye
+    eye = smoothstep(-np.abs(ball), -3.5, -2.5) * smoothstep(-opening, -0.3, 0.2) * smoothstep(z, -2.0, 0.0)
     corner = smoothstep(x, 15.5, 18.5) * smoothstep(47.0 - x, 0.0, 3.0)
     near_lid = corner * smoothstep(z, -4.0, 0.0) * (np.abs(ball) < 6.0)
     upper_line = np.exp(-0.5 * ((upper - 0.15) / 0.75) ** 2)
@@ -91,7 +92,8 @@ def masks(x_mm: np.ndarray, params: HeadParams) -> Masks:
     lashes = near_lid * np.maximum(upper_line, lower_line)
     middle = np.interp(x, _BROW_X, _BROW_Y)
     half = np.interp(x, _BROW_X, _BROW_HALF)
-    hairs = 0.5 + 0.5 * np.sin(2.4 * (x - 0.9 * (y - middle)) + 2.0 * np.sin(0.7 * x + params.seed % 7))
+    lean = x - (0.5 + 0.02 * x) * (y - middle)
+    hairs = 0.5 + 0.25 * np.sin(4.1 * lean + 2.0 * np.sin(0.7 * x + params.seed % 7)) + 0.25 * np.sin(6.3 * lean + y)
     band = smoothstep(1.0 - np.abs(y - middle) / half, -0.25, 0.75)
     brow = band * (0.72 + 0.28 * hairs) * smoothstep(x, 8.0, 13.0) * smoothstep(61.0 - x, 0.0, 6.0) * in_front
     hair = smoothstep(-hair_field_mm(x_mm, params), -1.6, -0.9)
@@ -122,7 +124,7 @@ def _skin(x_mm: np.ndarray, params: HeadParams, m: Masks) -> np.ndarray:
     red += 1.0 * _bump(x_mm, (84, -28, -82), (9, 28, 18)) + 0.4 * _bump(x_mm, (0, -100, 16), (14, 10, 12))
     red += 0.5 * _bump(x_mm, (31, -10, 8), (11, 5, 8)) + 0.5 * _bump(x_mm, (18, -5, 7), (4, 4, 5))
     pale = 0.25 * _bump(x_mm, (0, 55, 10), (45, 25, 30))
-    mottle = curls(x_mm, params.seed + 3, 16, 26.0) + 0.7 * curls(x_mm, params.seed + 4, 16, 7.0)
+    mottle = 0.8 * curls(x_mm, params.seed + 3, 30, 26.0) + 0.6 * curls(x_mm, params.seed + 4, 40, 6.0)
     blood = p.haemoglobin * (1 + 1.1 * p.redness * red - pale + 0.10 * mottle) * (1 + 2.2 * p.lip_colour * m.lips)
     under_eye = _bump(x_mm, (28, -11, 8), (10, 4, 8)) + 0.7 * _bump(x_mm, (30, 8, 10), (12, 4, 8))
     melanin = p.melanin * (1 + 0.05 * mottle + 0.25 * under_eye + 0.35 * m.lips)

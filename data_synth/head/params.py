@@ -73,7 +73,7 @@ class Pigment:
     """
 
     melanin: float = 0.05
-    haemoglobin: float = 0.012
+    haemoglobin: float = 0.008
     redness: float = 0.5
     freckles: float = 0.0
     stubble: float = 0.2
@@ -143,7 +143,7 @@ def _sample_pigment(rng: np.random.Generator) -> Pigment:
     cloth = np.clip(grey * np.exp(rng.normal(size=3) * rng.choice([0.05, 0.5])), 0.015, 0.75)
     return Pigment(
         melanin=melanin,
-        haemoglobin=float(rng.uniform(0.005, 0.022)),
+        haemoglobin=float(rng.uniform(0.004, 0.016)),
         redness=float(rng.uniform(0.1, 1.0)),
         freckles=float(rng.uniform(0, 1) * (rng.random() < 0.35)),
         stubble=float(rng.uniform(0.2, 1) * (rng.random() < 0.4)),

@@ -104,7 +104,7 @@ def _ellipsoid(local: Tensor, radius: Tensor) -> Tensor:
 
 
 def _expanded(p: Primitives) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Primitives with their mirror images: centre, log size, rotation matrix, weight, originals and mirrors adjacent."""
+    """Primitives with their mirror images: centre, log size, rotation matrix, weight, mirrors adjacent."""
     free = torch.where(p.paired[:, None], 1.0, 0.0)
     only_x = torch.tensor([1.0, 0.0, 0.0], dtype=p.centre_mm.dtype)
     only_yz = torch.tensor([0.0, 1.0, 1.0], dtype=p.centre_mm.dtype)
@@ -146,7 +146,7 @@ def strokes_field(t: Template, x_mm: Tensor) -> Tensor:
 
 
 def strokes_near(t: Template, centre_mm: Tensor, radius_mm: float, reach: float = 4.2) -> Template:
-    """The template with only the strokes that reach into a ball; what is left out is below ``exp(-reach^2/2)`` there."""
+    """The template with only the strokes that reach into a ball; the others are below ``exp(-reach^2/2)`` there."""
     p = t.strokes
     folded = torch.cat([centre_mm[:1].abs(), centre_mm[1:]])
     frame = rotation_matrices(p.rotation)
