@@ -1,8 +1,8 @@
 """Sums of spherical gaussians.
 
 Notation: G(w) = sum_i mu_i exp(lambda_i (w . xi_i - 1)); axis xi (M, 3) unit, sharpness lambda (M,) >= 0, amplitude
-mu (M, 3) >= 0; w and n are unit directions. Any floating dtype; float32 and float64 are tested from lambda = 0 to 1e8.
-An empty sum (M = 0) is 0.
+mu (M, 3) >= 0; w and n are unit directions. float32 and float64, lambda from 0 to 1e8, all arguments of one dtype. An
+empty sum (M = 0) is 0.
 """
 
 import math

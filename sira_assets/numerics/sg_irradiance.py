@@ -87,3 +87,32 @@ def irradiance_accurate(cosine: Tensor, sharpness: Tensor) -> Tensor:
     tail = horner(x, (odd / (edge * root), *(horner(tau, row) for row in _TAIL)))
     # c + |c| and not 2 max(c, 0): the gradient of |c| at 0 is 0, and the slope there O, as it should be.
     return edge * torch.exp(-x * tail) + odd * (cosine + away)
+
+
+# As above with tau = lambda / (lambda + 2), for `integral_and_mean_cosine`: few enough terms to pay per pair.
+_MEAN_TAU_SCALE = 2.0
+_MEAN_EDGE = (-0.04806681, 0.35161127, 0.11122305)
+_MEAN_TAIL = (0.286, 0.1653)
+# Below it the integral is held: (1 - e^{-2 lambda}) / lambda loses digits. A lobe that flat arises only as the product
+# of nearly opposite lobes, which e^{lambda_3 - lambda_1 - lambda_2} has put out.
+_MEAN_SHARPNESS_FLOOR = 0.02
+
+
+def integral_and_mean_cosine(cosine: Tensor, sharpness: Tensor) -> tuple[Tensor, Tensor]:
+    """Integral A of a unit lobe over the sphere and its mean max(n . w, 0), E / A in (0, 1].
+
+    For products of lobes, whose sharpness differs from pair to pair: half the cost of `irradiance_accurate` there. The
+    mean is within 0.4 % of its head-on value for sharpness >= 0.02.
+    """
+    sharpness = sharpness.clamp_min(_MEAN_SHARPNESS_FLOOR)
+    opposite = torch.exp(-2.0 * sharpness)
+    inverse = 1.0 / sharpness
+    tau = sharpness / (sharpness + _MEAN_TAU_SCALE)
+    edge = 0.25 * torch.rsqrt(1.0 + sharpness * horner(tau, _MEAN_EDGE))
+    slope = (1.0 + opposite) / (1.0 - opposite) - inverse  # coth(lambda) - 1 / lambda, twice the odd part over A
+    away = cosine.abs()
+    root = torch.sqrt(sharpness + 1.0)
+    x = away * root
+    bend = tau * tau * x * (_MEAN_TAIL[0] + _MEAN_TAIL[1] * x)
+    mean = edge * torch.exp(-x * (0.5 * slope / (edge * root) + bend)) + 0.5 * slope * (cosine + away)
+    return 2.0 * math.pi * (1.0 - opposite) * inverse, mean
