@@ -37,9 +37,7 @@ class AlbedoRefinement(nn.Module):
     def __init__(self, config: RefinementConfig = RefinementConfig(), *, feature_size: int = 16):
         super().__init__()
         self.config = config
-        self.net = MLP(
-            encoded_size(3, config.octaves) + feature_size, 3, width=config.width, depth=config.depth, beta=50.0
-        )
+        self.net = MLP(encoded_size(3, config.octaves) + feature_size, 3, width=config.width, depth=config.depth)
         nn.init.zeros_(self.net.out.weight)
 
     def forward(self, x_ref: Float[Tensor, "N 3"], gamma: Float[Tensor, "N G"]) -> Float[Tensor, "N 3"]:
