@@ -50,11 +50,11 @@ def canonical(axes, vertices, faces, side):
         dot(axes, (0, 0), RED, "+X", (0.022, -0.012))
         axes.set_title("from the subject's left", fontsize=10)
     else:
-        arrow(axes, (0, 0), (0.08, 0), RED, "+X\nsubject's left", (0.045, 0.0))
+        arrow(axes, (0, 0), (0.1, 0), RED, "+X\nsubject's left", (0.034, 0.002))
         dot(axes, (0, 0), BLUE, "+Z", (-0.02, -0.014))
         axes.text(0.045, -0.098, "nine landmarks", color="#b85c00", fontsize=8)
         axes.set_title("canonical head frame (metres), from the front", fontsize=10)
-    axes.set(xlim=(-0.15, 0.15), ylim=(-0.17, 0.17), aspect="equal")
+    axes.set(xlim=(-0.12, 0.22) if side else (-0.17, 0.17), ylim=(-0.17, 0.12), aspect="equal")
     axes.axis("off")
 
 
@@ -85,9 +85,9 @@ def uv(axes):
 
     axes.add_patch(Rectangle((0, 0), 1, 1, fc="#f7f3ea", ec=INK))
     axes.add_patch(Polygon([[0.2, 0.3], [0.75, 0.22], [0.6, 0.8], [0.3, 0.7]], fc="#d9c9a3", ec="#8a7440"))
-    arrow(axes, (0, 0), (0.35, 0), RED, "u", (0.06, 0))
-    arrow(axes, (0, 0), (0, 0.35), GREEN, "v", (0, 0.06))
-    axes.text(0.02, -0.07, "(0, 0)", fontsize=8)
+    arrow(axes, (0, 0), (0.35, 0), RED, "u", (0.05, 0.06))
+    arrow(axes, (0, 0), (0, 0.35), GREEN, "v", (0.06, 0.04))
+    axes.text(-0.05, -0.08, "(0, 0)", fontsize=8)
     axes.text(0.9, 1.03, "(1, 1)", fontsize=8)
     axes.text(0.03, 0.94, "row 0 of the texture", fontsize=8, va="center")
     axes.set(xlim=(-0.1, 1.15), ylim=(-0.13, 1.12), aspect="equal")
@@ -124,7 +124,9 @@ def main() -> None:
     vertices, faces = extract(grid, grid.field)
     figure = plt.figure(figsize=(11, 7.4), dpi=110)
     top = figure.add_gridspec(1, 2, left=0.02, right=0.98, top=0.96, bottom=0.42, wspace=0.02)
-    bottom = figure.add_gridspec(1, 3, left=0.02, right=0.98, top=0.36, bottom=0.01, wspace=0.06, width_ratios=[1.35, 0.9, 1.6])
+    bottom = figure.add_gridspec(
+        1, 3, left=0.02, right=0.98, top=0.36, bottom=0.01, wspace=0.06, width_ratios=[1.35, 0.9, 1.6]
+    )
     canonical(figure.add_subplot(top[0]), vertices, faces, side=False)
     canonical(figure.add_subplot(top[1]), vertices, faces, side=True)
     camera(figure.add_subplot(bottom[0]))
