@@ -1,4 +1,4 @@
-"""Draw docs/conventions.png: the canonical frame, the camera, UV, the lat-long map. Run: python docs/draw_conventions.py"""
+"""Draw docs/conventions.png (canonical frame, camera, UV, lat-long map). Run: python docs/draw_conventions.py"""
 
 from pathlib import Path
 
