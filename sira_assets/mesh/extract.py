@@ -96,14 +96,14 @@ def extract_mesh(field: HeadField, config: ExtractConfig = ExtractConfig(), *, d
     corner = np.searchsorted(keys, lattice.key(cells[:, None, :] + CORNERS))
     signs = values[corner] < 0.0
     crossing = signs.any(1) & ~signs.all(1)
-    if not crossing.any():
+    vertices, faces, _ = igl.marching_cubes(values, lattice.position(lattice.index(keys)), corner[crossing], 0.0)
+    # A field negative all over the box gives the box itself: caps and nothing else.
+    if not len(faces) or (bounds_sdf(vertices) > -config.cell_m).all():
         raise InputError(
             expected="a head whose signed distance changes sign inside the head's box",
             received="one sign everywhere (no surface)",
             remedy="check the fit, or the canonical frame it was made in",
         )
-    vertices, faces, _ = igl.marching_cubes(values, lattice.position(lattice.index(keys)), corner[crossing], 0.0)
-    vertices, faces = np.ascontiguousarray(vertices), np.ascontiguousarray(faces)
     return _finish(field, vertices, faces, config, device)
 
 
@@ -206,8 +206,9 @@ def _finish(
     on_cap = bounds_sdf(vertices) > -1e-7
     mesh = TriangleMesh(np.clip(vertices, *BOUNDS_M), faces)
     if config.polish:
-        # More than half a cell would let neighbouring vertices pass each other.
-        return project_mesh(field, mesh, ProjectConfig(max_distance_m=0.5 * config.cell_m), fixed=on_cap, device=device)
+        # More than half a cell would let neighbouring vertices pass each other; and none may pass the box.
+        steps = ProjectConfig(max_distance_m=0.5 * config.cell_m)
+        return project_mesh(field, mesh, steps, fixed=bounds_sdf(vertices) > -0.5 * config.cell_m, device=device)
     normals = query(field, mesh.vertices, normals=True, device=device).normals
     flat = np.linalg.norm(normals, axis=1) < 0.5  # the gradient vanishes: a network's kink
     return TriangleMesh(mesh.vertices, faces, np.where((on_cap | flat)[:, None], mesh.normals, normals))

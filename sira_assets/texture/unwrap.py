@@ -19,7 +19,7 @@ from sira_assets.texture.atlas import Atlas, AtlasReport, chart_labels, signed_u
 from sira_assets.texture.box_charts import box_atlas
 from sira_assets.texture.raster import overlapping_faces
 
-# xatlas chooses its own size, up to this much above the one asked for; its padding shrinks as much when scaled back.
+# xatlas chooses its own size, up to this much above the one asked for; its padding shrinks so when scaled back.
 _XATLAS_OVERSIZE = 1.4
 # An axis may be stretched this much more than the other to fill the square: more texels against a little anisotropy.
 _MAX_ANISOTROPY = 1.25
@@ -33,14 +33,16 @@ class UnwrapConfig:
     ----------
     texture_size : texels a side the padding is counted in
     padding : least distance between charts, texels; 4 keeps two mip levels apart
-    methods : tried in this order in processes of their own; "boxes", which cannot fail, follows by itself
+    methods : tried in this order in processes of their own; "boxes", which cannot fail, follows by itself. On heads of
+        20-25 thousand triangles UVAtlas cuts 4 to 28 charts, xatlas 80 to 400 (many of them slivers inside others),
+        in about the same time
     budget_s : seconds each of them may take
     max_overlap : share of faces that may overlap another before a result is refused
     """
 
     texture_size: int = 1024
     padding: int = 4
-    methods: tuple[str, ...] = ("xatlas", "uvatlas")
+    methods: tuple[str, ...] = ("uvatlas", "xatlas")
     budget_s: float = 60.0
     max_overlap: float = 0.002
 
