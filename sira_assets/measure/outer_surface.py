@@ -20,15 +20,16 @@ class OuterSurfaceConfig:
 
     Parameters
     ----------
-    directions : rays per face
-    needed : rays that must leave the mesh. Three of 96 is a cone of about 1.5 % of the sphere: nostrils, ear canals and
-        lips just apart stay, a mouth bag seen through a slit goes.
+    directions : rays per face; more only make the verdict on half-hidden faces steadier (prediction to truth on the
+        face of a model head: 1.28 mm at 96, 1.20 at 192, 1.18 at 1000)
+    needed : rays that must leave the mesh. One in 32 is a cone of 3 % of the sphere: nostrils and ear canals stay, a
+        mouth bag seen through a slit goes.
     offset : how far from the face a ray starts, as a part of the bounding box's diagonal. 4e-5 is 0.02 mm on a 0.5 m
         head: above what float32 rays mistake for a hit on their own face, below the gap between lid and eyeball.
     """
 
-    directions: int = 96
-    needed: int = 3
+    directions: int = 192
+    needed: int = 6
     offset: float = 4e-5
 
 
@@ -51,10 +52,13 @@ def outer_faces(mesh: TriangleMesh, config: OuterSurfaceConfig = OuterSurfaceCon
     normal = face_cross_products(vertices, mesh.faces)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     leaving = np.zeros(len(mesh.faces), np.int32)
-    for direction in fibonacci_directions(config.directions):
-        side = np.where(normal @ direction > 0.0, config.offset, -config.offset)
-        origin = centroid + side[:, None] * normal
-        leaving += ~np.asarray(raycaster.occluded(origin, np.broadcast_to(direction, origin.shape)), bool)
+    # The verdict does not depend on the order; a mixed one lets most faces pass after a few directions.
+    for direction in np.random.default_rng(0).permutation(fibonacci_directions(config.directions)):
+        open_question = np.flatnonzero(leaving < config.needed)
+        n = normal[open_question]
+        side = np.where(n @ direction > 0.0, config.offset, -config.offset)
+        blocked = raycaster.occluded(centroid[open_question] + side[:, None] * n, direction)
+        leaving[open_question] += ~np.asarray(blocked, bool)
     return leaving >= config.needed
 
 

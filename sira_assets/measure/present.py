@@ -79,19 +79,20 @@ def avatar_tables(report: AvatarReport) -> list:
 
 
 def _distances_table(title: str, report: SurfaceReport, region: str | None):
+    from rich import box
     from rich.table import Table
 
-    table = Table(title=f"{title}, mm")
+    # Narrow enough for 80 columns; JSON has the rest.
+    table = Table(title=f"{title}, mm", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("region", "direction", "seen"):
-        table.add_column(heading)
-    for heading in ("mean", "median", "std", "rms", "p95", "max", "samples"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, no_wrap=True)
+    for heading in ("mean", "median", "rms", "p95", "max", "samples"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for m in _wanted(report, region):
         d = m.distances
-        row = ["-"] * 7
+        row = ["-"] * 6
         if d is not None:
-            row = [f"{v:.3f}" for v in (d.mean_mm, d.median_mm, d.std_mm, d.rms_mm, d.p95_mm, d.max_mm)]
-            row.append(str(d.samples))
+            row = [*(f"{v:.3f}" for v in (d.mean_mm, d.median_mm, d.rms_mm, d.p95_mm, d.max_mm)), str(d.samples)]
         table.add_row(m.region, m.direction, m.seen, *row)
     return table
 
