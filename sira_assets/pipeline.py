@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets.asset.avatar import Avatar
-from sira_assets.asset.write_avatar import write_avatar
 from sira_assets.errors import InputError
 from sira_assets.fields.prior import Prior, load_prior
 from sira_assets.fit.appearance import AppearanceFit, AppearanceFitConfig, fit_appearance

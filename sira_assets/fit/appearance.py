@@ -21,8 +21,10 @@ from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import sdf_and_gradient
+from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.pixels import PixelRays, mask_rays
+from sira_assets.numerics.sg import irradiance
 from sira_assets.render.shading import ROUGHNESS, Shading, shade
 from sira_assets.render.tracing import sphere_trace
 from sira_assets.scene.portrait import Portrait
@@ -77,6 +79,7 @@ class AppearanceFit:
     head: FittedHead
     light: SGLight
     history: tuple[tuple[int, dict[str, float]], ...]
+    decisions: tuple[FitDecision, ...]
     seconds: float
 
 
@@ -213,15 +216,51 @@ def fit_appearance(
             refinement if c.steps_refinement else None,
             k_s,
         )
-        axis, sharpness, amplitude = (t.double().cpu().numpy() for t in light.lobes())
+        lobes, lobe_decision = _needed_lobes(*light.lobes(), surface)
+        specular_decision = _specular_evidence(head, surface, lobes)
+        axis, sharpness, amplitude = (t.double().cpu().numpy() for t in lobes)
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)[:3, :3]
     world_from_canonical = world_from_canonical / np.cbrt(np.linalg.det(world_from_canonical))
     return AppearanceFit(
         head,
         SGLight(axis @ world_from_canonical.T, sharpness, amplitude),
         tuple(history),
+        (lobe_decision, specular_decision),
         time.monotonic() - started,
     )
+
+
+# A lobe that gives the seen surface less than this share of its light is left out: an eighth of one 8-bit step of 255.
+LEAST_LOBE_SHARE = 0.0005
+
+
+def _needed_lobes(axis: Tensor, sharpness: Tensor, amplitude: Tensor, surface: SurfacePoints):
+    """The lobes that the seen surface can tell from none, and the decision."""
+    every = surface.normals[:: max(1, len(surface.normals) // 4000)]
+    light = torch.stack(
+        [
+            irradiance(every, axis[i : i + 1], sharpness[i : i + 1], amplitude[i : i + 1]).mean()
+            for i in range(len(axis))
+        ]
+    )
+    share = light / light.sum().clamp_min(1e-12)
+    keep = share >= LEAST_LOBE_SHARE
+    chosen = f"{int(keep.sum())} of {len(keep)}"
+    lost = float(share[~keep].sum())
+    evidence = f"the others give {100 * lost:.2g} % of the light on the seen surface"
+    return (axis[keep], sharpness[keep], amplitude[keep]), FitDecision("light lobes", chosen, evidence)
+
+
+def _specular_evidence(head: FittedHead, surface: SurfacePoints, lobes) -> FitDecision:
+    """How much the highlights explain: the mean error with and without them."""
+    every = slice(None, None, max(1, len(surface.x) // 8000))
+    albedo, f0 = head.reference_material(surface.x_ref[every], surface.gamma[every])
+    shading = shade(surface.normals[every], surface.view[every], albedo, f0, *lobes)
+    rgb = surface.rays.rgb[every]
+    without = float((srgb_encode(shading.diffuse_radiance) - rgb).abs().mean())
+    with_it = float((srgb_encode(shading.radiance) - rgb).abs().mean())
+    evidence = f"mean error {with_it:.4f} with highlights, {without:.4f} with them taken away (sRGB-encoded, 0 to 1)"
+    return FitDecision("specular", f"k_s = {head.specular_scale:.2g}", evidence)
 
 
 @torch.no_grad()

@@ -5,6 +5,7 @@ A kept fit is found again only under the same key: portrait, settings, prior and
 
 import hashlib
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from sira_assets.fields.fitted import load_fitted, save_fitted
 from sira_assets.fields.prior import CODE_NAMES, Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
 from sira_assets.fit.appearance import AppearanceFit
+from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.geometry import GeometryFit
 from sira_assets.scene.portrait import Portrait
 from sira_assets.scene.sg_light import SGLight
@@ -78,7 +80,13 @@ def kept_geometry(folder: Path, key: str, *, device: str | torch.device = "cpu")
 
 def keep_appearance(fit: AppearanceFit, folder: Path, key: str) -> None:
     """Write an appearance fit."""
-    facts = {"key": key, "light": fit.light.to_dict(), "history": fit.history, "seconds": fit.seconds}
+    facts = {
+        "key": key,
+        "light": fit.light.to_dict(),
+        "history": fit.history,
+        "decisions": [asdict(decision) for decision in fit.decisions],
+        "seconds": fit.seconds,
+    }
     save_fitted(fit.head, folder / "appearance.safetensors", facts)
 
 
@@ -94,4 +102,5 @@ def kept_appearance(folder: Path, key: str) -> AppearanceFit | None:
     except (OSError, SafetensorError, KeyError, ValueError, InputError):
         return None
     history = tuple((step, losses) for step, losses in facts["history"])
-    return AppearanceFit(head, SGLight.from_dict(facts["light"]), history, facts["seconds"])
+    decisions = tuple(FitDecision(**decision) for decision in facts["decisions"])
+    return AppearanceFit(head, SGLight.from_dict(facts["light"]), history, decisions, facts["seconds"])

@@ -151,6 +151,7 @@ def _from_scene(path: Path, given: _Given) -> Portrait:
             _, mask = read_frame(replace(frame, mask_path=beside))
     mask = _mask_or_alpha(mask, image)
     landmarks = given.landmarks or scene.landmarks
+    estimated = False
     metres = 1.0 if scene.metres_per_unit is None else scene.metres_per_unit
     camera = frame.camera
     if scene.canonical_from_world is not None and given.landmarks is None:
@@ -165,6 +166,7 @@ def _from_scene(path: Path, given: _Given) -> Portrait:
         canonical_from_camera = np.linalg.inv(camera_from_canonical(pixels, camera.intrinsics))
         unit = np.diag([metres, metres, metres, 1.0])
         canonical_from_world = canonical_from_camera @ unit @ camera.camera_from_world
+        estimated = True
         said.append("head placed by its 2D landmarks, at the mean head's size; expect some degrees and 2 % of distance")
     else:
         raise InputError(
@@ -177,7 +179,7 @@ def _from_scene(path: Path, given: _Given) -> Portrait:
         metres = scale
         said.append(f"the scene does not say metres_per_unit; {scale:.4g} assumed, which makes the head of mean size")
     name = (path if path.is_dir() else path.parent).resolve().name
-    return _portrait(image, mask, camera, canonical_from_world, name, metres, said)
+    return _portrait(image, mask, camera, canonical_from_world, name, metres, said, estimated)
 
 
 def _from_photo(path: Path, given: _Given) -> Portrait:
@@ -203,7 +205,7 @@ def _from_photo(path: Path, given: _Given) -> Portrait:
     camera = _with_focal(Camera(intrinsics, np.eye(4), width, height), given)
     pose = np.linalg.inv(camera_from_canonical(given.landmarks.pixels, camera.intrinsics))
     said.append("head placed by its 2D landmarks, at the mean head's size; expect some degrees and 2 % of distance")
-    return _portrait(image, mask, replace(camera, world_from_camera=pose), np.eye(4), path.stem, 1.0, said)
+    return _portrait(image, mask, replace(camera, world_from_camera=pose), np.eye(4), path.stem, 1.0, said, True)
 
 
 def _with_focal(camera: Camera, given: _Given) -> Camera:
@@ -252,6 +254,7 @@ def _portrait(
     name: str,
     metres_per_unit: float,
     said: list[str],
+    pose_is_estimated: bool,
 ) -> Portrait:
     negative = int((image.linear < 0).any(-1).sum())
     if negative:
@@ -269,5 +272,6 @@ def _portrait(
         saturated=image.saturated,
         name=name,
         metres_per_unit=metres_per_unit,
+        pose_is_estimated=pose_is_estimated,
         warnings=tuple(said),
     )

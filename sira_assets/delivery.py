@@ -1,0 +1,201 @@
+"""What a run leaves on disk: the asset, the fitted field, the renders, the lights and the report.
+
+Everything is written into a folder beside the target, which takes the target's name when it is whole.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from sira_assets import __version__
+from sira_assets.asset.textures import irradiance_white
+from sira_assets.asset.write_avatar import write_avatar
+from sira_assets.errors import InputError
+from sira_assets.fields.fitted import save_fitted
+from sira_assets.measure.image_metrics import score_image
+from sira_assets.measure.report import Curve, Decision, Metric, Picture, Report, write_report_json
+from sira_assets.measure.report_page import write_report_html
+from sira_assets.numerics.colour import srgb_from_linear
+from sira_assets.pipeline import Journey, Settings
+from sira_assets.scene.image import write_exr, write_png
+
+FILES = (
+    ("avatar.glb", "the asset: mesh, material and maps in one file, the scene's own coordinates"),
+    ("avatar.obj", "the same as OBJ and MTL, with textures/"),
+    ("textures", "diffuse, specular, normal and irradiance maps"),
+    ("lights.json", "the spherical gaussians that lit the photo"),
+    ("envmap.exr", "the same light as a lat-long panorama"),
+    ("field.safetensors", "the fitted neural field"),
+    ("renders", "what the input camera sees; final.exr is linear radiance"),
+    ("report.json", "figures, decisions and settings"),
+)
+
+
+def check_target(folder: Path, *, overwrite: bool, resume: bool) -> None:
+    """Refuse to write over somebody's work.
+
+    Raises
+    ------
+    InputError : the folder holds something and neither `overwrite` nor `resume` was said.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(expected=f"a folder at {folder}", received="a file", remedy="choose another --out")
+    if folder.exists() and any(folder.iterdir()) and not (overwrite or resume):
+        raise InputError(
+            expected=f"an empty or new folder at {folder}",
+            received="one that holds files",
+            remedy="choose another --out, or say --overwrite or --resume",
+        )
+
+
+def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
+    """Write everything a run made into `folder`, whole or not at all, and give its report."""
+    folder = Path(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        write_avatar(journey.avatar, fresh)
+        save_fitted(journey.appearance.head, fresh / "field.safetensors")
+        pictures = _pictures(journey)
+        for name, pixels in pictures.items():
+            write_png(fresh / "renders" / f"{name}.png", pixels)
+        write_exr(fresh / "renders" / "final.exr", journey.view.final)
+        report = _report(journey, settings, pictures)
+        write_report_json(report, fresh / "report.json")
+        write_report_html(report, fresh / "report.html")
+        _replace_folder(fresh, folder)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+    return report
+
+
+def _replace_folder(fresh: Path, folder: Path) -> None:
+    """Move a whole folder to its name; what was there goes only after the new one is in place."""
+    umask = os.umask(0)
+    os.umask(umask)
+    fresh.chmod(0o777 & ~umask)
+    if not folder.exists():
+        os.replace(fresh, folder)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
+    os.replace(folder, old / "was")
+    os.replace(fresh, folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _pictures(journey: Journey) -> dict[str, np.ndarray]:
+    """renders/*.png, uint8."""
+    view, portrait = journey.view, journey.portrait
+    encode = lambda linear: np.round(255 * srgb_from_linear(linear)).astype(np.uint8)  # noqa: E731
+    white = irradiance_white(journey.avatar.textures)
+    rotation = portrait.camera.camera_from_world[:3, :3]
+    normals = view.normals_world @ rotation.T * np.array([1.0, -1.0, -1.0])  # x right, y up, z to the camera
+    shaded = np.where(view.hit[..., None], 0.5 + 0.5 * normals, 0.0)
+    headlight = np.where(view.hit, 0.08 + 0.92 * np.clip(normals[..., 2], 0.0, 1.0), 0.0)
+    return {
+        "input": encode(portrait.image_linear),
+        "final": encode(view.final),
+        "geometry": np.round(255 * np.repeat(headlight[..., None] ** (1 / 2.2), 3, -1)).astype(np.uint8),
+        "normals": np.round(255 * shaded).astype(np.uint8),
+        "albedo": encode(view.diffuse),
+        "specular": np.repeat(
+            np.round(255 * np.clip(view.specular_f0 / 0.08, 0, 1)).astype(np.uint8)[..., None], 3, -1
+        ),
+        "irradiance": encode(view.irradiance / white),
+        "diffuse": encode(view.diffuse_radiance),
+        "highlights": encode(view.specular_radiance),
+    }
+
+
+CAPTIONS = {
+    "geometry": "the fitted surface under a headlight",
+    "normals": "x right, y up, z towards the camera",
+    "albedo": "diffuse albedo, sRGB-encoded",
+    "specular": "specular albedo, white is F0 = 0.08",
+    "irradiance": "the found light on the found normals",
+    "diffuse": "diffuse radiance alone",
+    "highlights": "specular radiance alone",
+    "final": "diffuse and specular together",
+}
+
+
+def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray]) -> Report:
+    view, portrait, avatar = journey.view, journey.portrait, journey.avatar
+    both = portrait.mask & view.hit
+    union = portrait.mask | view.hit
+    score = score_image(view.final, portrait.image_linear, portrait.mask)
+    metrics = (
+        Metric("final_psnr_db", "render against photo", score.psnr_db, "dB", "PSNR in the mask, sRGB-encoded", True, 1),
+        Metric("final_ssim", "structural similarity", score.ssim, "", "SSIM in the mask, sRGB-encoded", True, 3),
+        Metric("mask_iou", "silhouette overlap", float(both.sum() / max(union.sum(), 1)), "", "mask against render"),
+        Metric("triangles", "triangles", float(len(avatar.mesh.faces)), "", "of the exported mesh", False, 0),
+        Metric("charts", "charts", float(avatar.atlas.report.charts), "", f"by {avatar.atlas.report.method}", False, 0),
+        Metric("texture_utilisation", "texels used", 100 * avatar.atlas.report.utilisation, "%", "", False, 1),
+        Metric("pose_change_deg", "pose refined by", journey.geometry.pose_change_deg, "degrees", "rotation"),
+        Metric("pose_change_mm", "and moved by", 1000 * journey.geometry.pose_change_m, "mm", "mostly depth"),
+    )
+    curves = []
+    for name, history in (("geometry", journey.geometry.history), ("appearance", journey.appearance.history)):
+        terms = dict.fromkeys(term for _, losses in history for term in losses)
+        curves += [
+            Curve(f"{name}: {term.replace('_', ' ')}", tuple((s, x[term]) for s, x in history if term in x))
+            for term in terms
+        ]
+    maps = tuple(Picture(name, caption, pictures[name]) for name, caption in CAPTIONS.items())
+    return Report(
+        title=portrait.name,
+        subtitle=f"{settings.quality} quality",
+        photo=Picture("photo", "the input", pictures["input"]),
+        render=Picture("render", "the avatar, same camera, found light", pictures["final"]),
+        maps=maps,
+        curves=tuple(curves),
+        metrics=metrics,
+        decisions=_decisions(journey),
+        warnings=portrait.warnings,
+        settings=_flat(settings),
+        seconds=journey.seconds,
+        peak_memory_bytes=peak_memory_bytes(),
+        version=__version__,
+        seed=settings.seed,
+        metres_per_unit=portrait.metres_per_unit,
+        files=FILES,
+    )
+
+
+def _decisions(journey: Journey) -> tuple[Decision, ...]:
+    atlas = journey.avatar.atlas.report
+    pose = Decision(
+        "head pose",
+        "refined" if journey.portrait.pose_is_estimated else "as given",
+        "placed by 2D landmarks, which leave some degrees and 2 % of distance open"
+        if journey.portrait.pose_is_estimated
+        else "canonical_from_world or 3D landmarks were given",
+    )
+    tried = "; ".join(atlas.attempts) or "first method asked, within its time and without faults"
+    found = (Decision(d.what, d.chosen, d.evidence) for d in journey.appearance.decisions)
+    return (*found, pose, Decision("unwrap", atlas.method, tried))
+
+
+def _flat(config, prefix: str = "") -> tuple[tuple[str, object], ...]:
+    """A config's numbers as (dotted name, value)."""
+    out: list[tuple[str, object]] = []
+    for field in fields(config):
+        value = getattr(config, field.name)
+        name = f"{prefix}{field.name}"
+        out += _flat(value, f"{name}.") if hasattr(value, "__dataclass_fields__") else [(name, value)]
+    return tuple(out)
+
+
+def peak_memory_bytes() -> int:
+    """The most memory this process has had resident; children not counted. 0 where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak

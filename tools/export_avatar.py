@@ -1,0 +1,112 @@
+"""Turn one portrait into a relightable avatar: GLB, OBJ, textures, lights, renders and a report.
+
+With no argument the bundled real portrait is used. A scene is a folder with transforms.json (or cameras.npz); a bare
+photo needs --landmarks and --mask.
+
+    python tools/export_avatar.py
+    python tools/export_avatar.py SCENE_DIR --out avatar --quality draft
+    python tools/export_avatar.py photo.jpg --mask mask.png --landmarks landmarks.json
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import _cli
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("scene", nargs="?", type=Path, help="scene folder or photo (default: the bundled portrait)")
+    p.add_argument("--out", type=Path, default=Path("avatar"), help="folder to write (default: avatar)")
+    p.add_argument("--quality", choices=["draft", "standard", "high"], default="standard")
+    p.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
+    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--mask", type=Path, help="white on the head; overrides the scene's")
+    p.add_argument("--landmarks", type=Path, help="JSON with landmarks_2d or landmarks_m; overrides the scene's")
+    focal = p.add_mutually_exclusive_group()
+    focal.add_argument("--focal-px", type=float, help="focal length in pixels; overrides the scene's")
+    focal.add_argument("--fov", type=float, dest="fov_deg", metavar="DEG", help="horizontal field of view instead")
+    p.add_argument("--texture-size", type=int, help="texels a side, 64 to 8192")
+    p.add_argument("--max-triangles", type=int, help="at least 100")
+    p.add_argument("--prior", type=Path, help="trained models (default: the ones that ship with the package)")
+    p.add_argument("--resume", action="store_true", help="go on from the last finished stage of a stopped run")
+    p.add_argument("--overwrite", action="store_true", help="replace what --out holds")
+    p.add_argument("--json", action="store_true", help="print report.json")
+    p.add_argument("--quiet", action="store_true", help="no progress bar")
+    return p
+
+
+def body(args: argparse.Namespace) -> int:
+    """Read, fit, export."""
+    import contextlib
+    import json
+    import shutil
+
+    from sira_assets.scene.bundled import bundled_portrait
+    from sira_assets.scene.read_scene import read_scene
+
+    options = {n: getattr(args, n) for n in ("mask", "landmarks", "focal_px", "fov_deg")}
+    if args.scene is None:
+        portrait = bundled_portrait(**options)
+    else:
+        portrait = read_scene(args.scene, **options)
+
+    import torch
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from sira_assets.delivery import check_target, deliver
+    from sira_assets.fields.prior import load_prior
+    from sira_assets.measure.report import report_dict
+    from sira_assets.pipeline import run, settings_for
+
+    device = args.device if args.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    settings = settings_for(
+        args.quality, texture_size=args.texture_size, max_triangles=args.max_triangles, seed=args.seed
+    )
+    check_target(args.out, overwrite=args.overwrite, resume=args.resume)
+    prior = load_prior(args.prior)
+    work = args.out.parent / f".{args.out.name}-work"
+    if not args.resume:
+        shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True, exist_ok=True)
+    columns = (TextColumn("{task.description:16}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    tasks: dict[str, object] = {}
+    with Progress(*columns, disable=args.quiet or args.json) if sys.stderr else contextlib.nullcontext() as progress:
+
+        def report(stage: str, done: int, steps: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = progress.add_task(stage, total=steps)
+            progress.update(tasks[stage], completed=done, total=steps)
+
+        try:
+            journey = run(portrait, settings, prior=prior, work=work, device=device, report=report)
+        except KeyboardInterrupt:
+            print(f"stopped; the same command with --resume goes on ({work})", file=sys.stderr)
+            raise
+    made = deliver(journey, settings, args.out)
+    shutil.rmtree(work, ignore_errors=True)
+    if args.json:
+        print(json.dumps(report_dict(made), indent=1))
+    elif not args.quiet:
+        headline = ", ".join(f"{m.label} {m.value:.{m.digits}f} {m.unit}".strip() for m in made.metrics if m.headline)
+        print(f"{args.out / 'avatar.glb'}  ({headline}; {made.total_seconds:.0f} s)  see {args.out / 'report.html'}")
+    for line in made.warnings if not (args.quiet or args.json) else ():
+        print(f"note: {line}", file=sys.stderr)
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Exit status: 0, 2 usage, 3 bad input, 130 interrupted (go on with --resume)."""
+    p = parser()
+    args = p.parse_args(argv)
+    if args.texture_size is not None and not 64 <= args.texture_size <= 8192:
+        p.error("--texture-size must be 64 to 8192")
+    if args.max_triangles is not None and args.max_triangles < 100:
+        p.error("--max-triangles must be at least 100")
+    return _cli.run(lambda: body(args))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
