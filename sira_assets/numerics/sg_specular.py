@@ -65,6 +65,7 @@ def specular_radiance(
     -------
     (N, 3), >= 0, finite
     """
+    roughness = float(roughness)  # a NumPy scalar would lift the tensors to double
     rows = max(1, _PAIRS // max(len(sharpness), 1))
     tensors = (normals, view, f0, axis, sharpness, amplitude)
     if len(normals) <= rows or (torch.is_grad_enabled() and any(t.requires_grad for t in tensors)):
