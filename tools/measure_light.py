@@ -166,7 +166,7 @@ def draw(path: Path) -> None:
         figure.colorbar(image, ax=axes[row, 0])
         roughness, n_dot_v = np.linspace(0.2, 1.0, 9), np.linspace(0.05, 1.0, 10)
         for column, lam in enumerate((5.0, 50.0), start=1):
-            grid = [[100 * specular_error(r, v, lam, grade) for v in n_dot_v] for r in roughness]
+            grid = [[100 * specular_error(float(r), float(v), lam, grade) for v in n_dot_v] for r in roughness]
             image = axes[row, column].pcolormesh(n_dot_v, roughness, grid, cmap="viridis", vmin=0, vmax=100)
             axes[row, column].contour(n_dot_v, roughness, grid, [10, 20, 40], colors="white", linewidths=0.8)
             title = f"specular {grade}, light sharpness {lam:g}, % of peak"
