@@ -1,0 +1,157 @@
+"""Unwrapping ends, covers every face and says what it did, whatever the mesh."""
+
+import numpy as np
+import pytest
+
+from sira_assets.errors import InputError
+from sira_assets.fields.analytic import EllipsoidHead
+from sira_assets.mesh.extract import ExtractConfig, extract_mesh
+from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.texture.atlas import Atlas, AtlasReport, signed_uv_areas, stretch, vertex_of_uv
+from sira_assets.texture.raster import overlapping_faces
+from sira_assets.texture.unwrap import UnwrapConfig, unwrap
+
+BOXES = UnwrapConfig(methods=())
+
+
+@pytest.fixture(scope="module")
+def ellipsoid():
+    return extract_mesh(EllipsoidHead(), ExtractConfig(cell_m=0.01))
+
+
+def soup(seed, faces=300):
+    rng = np.random.default_rng(seed)
+    return TriangleMesh(rng.standard_normal((3 * faces, 3)), np.arange(3 * faces).reshape(-1, 3))
+
+
+def tangle():
+    rng = np.random.default_rng(3)
+    return TriangleMesh(rng.standard_normal((40, 3)), np.array([rng.choice(40, 3, replace=False) for _ in range(300)]))
+
+
+def with_faults(mesh):
+    """Copies (one of them turned over), flat faces, a face with a repeated vertex, a vertex of no face."""
+    extra = np.concatenate([mesh.faces[:3], mesh.faces[3:4, ::-1], [[0, 0, 5], [7, 7, 7]]])
+    return TriangleMesh(np.vstack([mesh.vertices, [[0, 0, 9.0]]]), np.concatenate([mesh.faces, extra]))
+
+
+def check(mesh, atlas, *, overlap=0.002):
+    assert len(atlas.faces_uv) == len(mesh.faces)
+    assert np.isfinite(atlas.uv).all()
+    assert atlas.uv.min() >= 0.0
+    assert atlas.uv.max() <= 1.0
+    assert vertex_of_uv(mesh, atlas).min() >= 0  # no unused atlas vertex, none for two mesh vertices
+    assert len(overlapping_faces(atlas.uv, atlas.faces_uv, 1024)) <= overlap * len(mesh.faces)
+    assert 0.0 < atlas.report.utilisation <= 1.0
+    assert atlas.report.stretch >= 1.0
+
+
+@pytest.mark.parametrize("method", ["uvatlas", "xatlas", "boxes"])
+def test_each_method_unwraps_an_ellipsoid_without_mirror_or_overlap(ellipsoid, method):
+    atlas = unwrap(ellipsoid, UnwrapConfig(methods=(method,)))
+    assert atlas.report.method == method
+    assert atlas.report.attempts == ()
+    check(ellipsoid, atlas, overlap=0.0)
+    area = signed_uv_areas(atlas.uv, atlas.faces_uv)
+    assert (area > 0).all()
+    # Texels follow surface: no face gets less than a fifth or more than five times its share.
+    corners = ellipsoid.vertices[ellipsoid.faces]
+    surface = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    share = (area / area.sum()) / (surface / surface.sum())
+    assert np.percentile(share, 1) > 0.2
+    assert np.percentile(share, 99) < 5
+    assert atlas.report.utilisation > 0.4
+
+
+@pytest.mark.parametrize("method", ["uvatlas", "xatlas", "boxes"])
+def test_charts_keep_their_distance(ellipsoid, method):
+    from scipy.ndimage import distance_transform_edt
+
+    from sira_assets.texture.atlas import chart_labels
+    from sira_assets.texture.raster import rasterise
+
+    config = UnwrapConfig(methods=(method,), texture_size=512, padding=4)
+    atlas = unwrap(ellipsoid, config)
+    samples = rasterise(atlas.uv, atlas.faces_uv, 1024, samples=1, first_row=0, last_row=1024)
+    chart = np.full(1024 * 1024, -1)
+    chart[samples.texel] = chart_labels(atlas.faces_uv, len(atlas.uv))[atlas.faces_uv[samples.face, 0]]
+    chart = chart.reshape(1024, 1024)
+    nearest = min(distance_transform_edt(chart != c)[(chart >= 0) & (chart != c)].min() for c in range(chart.max() + 1))
+    # Measured on a lattice of half texels: touched half-texels may stand up to 3 steps nearer than the shapes.
+    assert nearest >= 2 * config.padding - 3
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        soup(0),
+        tangle(),
+        TriangleMesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])),
+        TriangleMesh(1e-7 * soup(1).vertices, soup(1).faces),
+        TriangleMesh(1e9 * soup(2).vertices + 1e10, soup(2).faces),
+        with_faults(soup(4, 50)),
+    ],
+    ids=["soup", "tangle", "one", "tiny", "huge", "faults"],
+)
+def test_the_last_resort_takes_anything(mesh):
+    atlas = unwrap(mesh, BOXES)
+    assert atlas.report.method == "boxes"
+    check(mesh, atlas)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "mesh", [tangle(), with_faults(soup(4, 50)), TriangleMesh(1e-7 * soup(1).vertices, soup(1).faces)]
+)
+def test_torture_meshes_end_with_the_default_methods(mesh):
+    check(mesh, unwrap(mesh, UnwrapConfig(budget_s=20.0)))
+
+
+def test_faces_set_aside_get_their_place(ellipsoid):
+    mesh = with_faults(ellipsoid)
+    atlas = unwrap(mesh, BOXES)
+    count = len(ellipsoid.faces)
+    assert np.array_equal(np.sort(atlas.faces_uv[count : count + 3], 1), np.sort(atlas.faces_uv[:3], 1))
+    assert np.array_equal(atlas.faces_uv[count + 3], atlas.faces_uv[3, ::-1])
+    assert np.ptp(atlas.uv[atlas.faces_uv[count + 4 :]], axis=1).max() == 0.0
+
+
+def test_out_of_time_falls_back_and_says_so(ellipsoid):
+    atlas = unwrap(ellipsoid, UnwrapConfig(methods=("xatlas",), budget_s=0.01))
+    assert atlas.report.method == "boxes"
+    assert atlas.report.attempts == ("xatlas: not done within 0.01 s",)
+    check(ellipsoid, atlas)
+
+
+def test_a_worker_that_fails_falls_back_and_says_so(ellipsoid):
+    atlas = unwrap(ellipsoid, UnwrapConfig(methods=("no_such_method",)))
+    assert atlas.report.method == "boxes"
+    assert "ended with code 1" in atlas.report.attempts[0]
+    assert "no_such_method" in atlas.report.attempts[0]
+
+
+def test_the_same_mesh_gives_the_same_atlas(ellipsoid):
+    first, second = unwrap(ellipsoid, BOXES), unwrap(ellipsoid, BOXES)
+    assert np.array_equal(first.uv, second.uv)
+
+
+def test_a_mesh_without_area_is_refused():
+    with pytest.raises(InputError, match="none of any area"):
+        unwrap(TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]])))
+    with pytest.raises(InputError, match="none of any area"):
+        unwrap(TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), int)))
+
+
+def test_stretch_of_a_known_map():
+    mesh = TriangleMesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))
+    uv = np.array([[0, 0], [0.6, 0], [0, 0.2]])
+    assert stretch(mesh, uv, mesh.faces)[0] == pytest.approx(3.0)
+    sheared = np.array([[0, 0], [0.2, 0], [0.2, 0.2]])  # [[1, 1], [0, 1]]: singular values (sqrt 5 +- 1)/2
+    assert stretch(mesh, sheared, mesh.faces)[0] == pytest.approx(((np.sqrt(5) + 1) / 2) ** 2)
+
+
+def test_an_atlas_refuses_coordinates_outside_the_picture():
+    report = AtlasReport("boxes", 1, 0.5, 0.0, 1.0)
+    for bad in (np.nan, 1.5, -0.1):
+        with pytest.raises(InputError, match="texture coordinates"):
+            Atlas(np.array([[0, 0], [1, 0], [0, bad]]), np.array([[0, 1, 2]]), report)
