@@ -169,7 +169,7 @@ def draw(path: Path) -> None:
             grid = [[100 * specular_error(float(r), float(v), lam, grade) for v in n_dot_v] for r in roughness]
             image = axes[row, column].pcolormesh(n_dot_v, roughness, grid, cmap="viridis", vmin=0, vmax=100)
             axes[row, column].contour(n_dot_v, roughness, grid, [10, 20, 40], colors="white", linewidths=0.8)
-            title = f"specular {grade}, light sharpness {lam:g}, % of peak"
+            title = f"specular {grade}, light {lam:g}, % of peak"
             axes[row, column].set(xlabel="n . v", ylabel="roughness", title=title)
             figure.colorbar(image, ax=axes[row, column])
     with replacing(path) as temporary:
