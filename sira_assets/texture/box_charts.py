@@ -31,7 +31,7 @@ def box_atlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) 
     layer = side.copy()
     for step in range(_ROUNDS + 1):
         uv, faces_uv = _lay_out(vertices, faces, side, layer, size, padding)
-        losers = overlapping_faces(uv, faces_uv, size)
+        losers = overlapping_faces(uv, faces_uv, 2 * size)
         if not len(losers):
             break
         if step < _ROUNDS:

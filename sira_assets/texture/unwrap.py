@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets.errors import InputError
+from sira_assets.mesh.topology import topology
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.texture.atlas import Atlas, AtlasReport, chart_labels, signed_uv_areas, stretch
 from sira_assets.texture.box_charts import box_atlas
@@ -21,6 +22,8 @@ from sira_assets.texture.raster import overlapping_faces
 
 # xatlas chooses its own size, up to this much above the one asked for; its padding shrinks so when scaled back.
 _XATLAS_OVERSIZE = 1.4
+# UVAtlas never ends on a soup of hundreds of loose triangles; a cleaned head is one piece.
+_UVATLAS_PIECES = 30
 # An axis may be stretched this much more than the other to fill the square: more texels against a little anisotropy.
 _MAX_ANISOTROPY = 1.25
 
@@ -98,6 +101,11 @@ def _attempt(
     """uv and faces_uv by one method, or the reason why not."""
     if method == "boxes":
         return box_atlas(unit, faces, config.texture_size, config.padding)
+    if method == "uvatlas":
+        shape = topology(TriangleMesh(unit, faces))
+        faults = shape.nonmanifold_edges + shape.nonmanifold_vertices + shape.misoriented_edges
+        if faults or shape.pieces > _UVATLAS_PIECES:
+            return f"needs one manifold surface, not {shape.pieces} pieces with {faults} faults"
     with tempfile.TemporaryDirectory(prefix="sira-unwrap-") as folder:
         source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
         padding = int(np.ceil(config.padding * (_XATLAS_OVERSIZE if method == "xatlas" else 1.0)))

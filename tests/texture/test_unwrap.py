@@ -35,20 +35,26 @@ def with_faults(mesh):
     return TriangleMesh(np.vstack([mesh.vertices, [[0, 0, 9.0]]]), np.concatenate([mesh.faces, extra]))
 
 
-def check(mesh, atlas, *, overlap=0.002):
+def check(mesh, atlas, *, overlap=0.002, copies=0):
+    """`copies` faces at the end repeat earlier ones, and so overlap them by design."""
     assert len(atlas.faces_uv) == len(mesh.faces)
     assert np.isfinite(atlas.uv).all()
     assert atlas.uv.min() >= 0.0
     assert atlas.uv.max() <= 1.0
     assert vertex_of_uv(mesh, atlas).min() >= 0  # no unused atlas vertex, none for two mesh vertices
-    assert len(overlapping_faces(atlas.uv, atlas.faces_uv, 1024)) <= overlap * len(mesh.faces)
+    originals = atlas.faces_uv[: len(mesh.faces) - copies]
+    assert len(overlapping_faces(atlas.uv, originals, 1024)) <= overlap * len(mesh.faces)
     assert 0.0 < atlas.report.utilisation <= 1.0
     assert atlas.report.stretch >= 1.0
 
 
-@pytest.mark.parametrize("method", ["uvatlas", "xatlas", "boxes"])
-def test_each_method_unwraps_an_ellipsoid_without_mirror_or_overlap(ellipsoid, method):
-    atlas = unwrap(ellipsoid, UnwrapConfig(methods=(method,)))
+@pytest.fixture(scope="module", params=[pytest.param("uvatlas", marks=pytest.mark.slow), "xatlas", "boxes"])
+def unwrapped(request, ellipsoid):
+    return request.param, unwrap(ellipsoid, UnwrapConfig(methods=(request.param,), texture_size=512, padding=4))
+
+
+def test_each_method_unwraps_an_ellipsoid_without_mirror_or_overlap(ellipsoid, unwrapped):
+    method, atlas = unwrapped
     assert atlas.report.method == method
     assert atlas.report.attempts == ()
     check(ellipsoid, atlas, overlap=0.0)
@@ -63,48 +69,46 @@ def test_each_method_unwraps_an_ellipsoid_without_mirror_or_overlap(ellipsoid, m
     assert atlas.report.utilisation > 0.4
 
 
-@pytest.mark.parametrize("method", ["uvatlas", "xatlas", "boxes"])
-def test_charts_keep_their_distance(ellipsoid, method):
+def test_charts_keep_their_distance(unwrapped):
     from scipy.ndimage import distance_transform_edt
 
     from sira_assets.texture.atlas import chart_labels
     from sira_assets.texture.raster import rasterise
 
-    config = UnwrapConfig(methods=(method,), texture_size=512, padding=4)
-    atlas = unwrap(ellipsoid, config)
+    _, atlas = unwrapped
     samples = rasterise(atlas.uv, atlas.faces_uv, 1024, samples=1, first_row=0, last_row=1024)
     chart = np.full(1024 * 1024, -1)
     chart[samples.texel] = chart_labels(atlas.faces_uv, len(atlas.uv))[atlas.faces_uv[samples.face, 0]]
     chart = chart.reshape(1024, 1024)
     nearest = min(distance_transform_edt(chart != c)[(chart >= 0) & (chart != c)].min() for c in range(chart.max() + 1))
     # Measured on a lattice of half texels: touched half-texels may stand up to 3 steps nearer than the shapes.
-    assert nearest >= 2 * config.padding - 3
+    assert nearest >= 2 * 4 - 3
 
 
-@pytest.mark.parametrize(
-    "mesh",
-    [
-        soup(0),
-        tangle(),
-        TriangleMesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])),
-        TriangleMesh(1e-7 * soup(1).vertices, soup(1).faces),
-        TriangleMesh(1e9 * soup(2).vertices + 1e10, soup(2).faces),
-        with_faults(soup(4, 50)),
-    ],
-    ids=["soup", "tangle", "one", "tiny", "huge", "faults"],
-)
-def test_the_last_resort_takes_anything(mesh):
-    atlas = unwrap(mesh, BOXES)
+TORTURE = {
+    "soup": soup(0),
+    "tangle": tangle(),
+    "one": TriangleMesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])),
+    "tiny": TriangleMesh(1e-7 * soup(1).vertices, soup(1).faces),
+    "huge": TriangleMesh(1e9 * soup(2).vertices + 1e10, soup(2).faces),
+    "faults": with_faults(soup(4, 50)),
+}
+
+
+@pytest.mark.parametrize("name", TORTURE)
+def test_the_last_resort_takes_anything(name):
+    atlas = unwrap(TORTURE[name], BOXES)
     assert atlas.report.method == "boxes"
-    check(mesh, atlas)
+    # Needles of the tangle that cross at less than half a texel are not told apart.
+    check(TORTURE[name], atlas, overlap=0.02 if name == "tangle" else 0.0, copies=6 * (name == "faults"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "mesh", [tangle(), with_faults(soup(4, 50)), TriangleMesh(1e-7 * soup(1).vertices, soup(1).faces)]
-)
-def test_torture_meshes_end_with_the_default_methods(mesh):
-    check(mesh, unwrap(mesh, UnwrapConfig(budget_s=20.0)))
+@pytest.mark.parametrize("name", ["tangle", "tiny", "faults"])
+def test_torture_meshes_end_with_the_default_methods(name):
+    atlas = unwrap(TORTURE[name], UnwrapConfig(budget_s=20.0))
+    check(TORTURE[name], atlas, overlap=0.02, copies=6 * (name == "faults"))
+    assert "uvatlas: needs one manifold surface" in atlas.report.attempts[0]
 
 
 def test_faces_set_aside_get_their_place(ellipsoid):
