@@ -67,6 +67,14 @@ def _measure(a: argparse.Namespace) -> int:
     from sira_assets.measure.truth import METRES_PER, landmarks_beside, read_landmarks, read_mesh, read_truth
 
     truth = read_truth(a.gt, metres_per_unit=METRES_PER[a.units_gt] if a.units_gt else None, landmarks=a.landmarks)
+    known = {"face": "nose_tip" in truth.landmarks, "head": truth.canonical_from_world is not None}
+    if a.protocol != "now" and not known.get(a.region, True):
+        needs = "a nose tip" if a.region == "face" else "a canonical frame"
+        raise InputError(
+            expected=f"{needs} of the truth for --region {a.region}",
+            received="a truth without landmarks",
+            remedy="give --landmarks, or --region all",
+        )
     canonical = a.pred_frame == "canonical"
     unit = METRES_PER[a.units_pred] if a.units_pred else 1.0 if canonical else truth.metres_per_unit
     pred = read_mesh(a.pred, metres_per_unit=unit)
@@ -84,14 +92,6 @@ def _measure(a: argparse.Namespace) -> int:
         marks = {name: world_from_canonical[:3, :3] @ x + world_from_canonical[:3, 3] for name, x in marks.items()}
     config = ProtocolConfig(a.protocol, a.align, a.samples, a.seed, not a.keep_inner)
     report = measure_surface(pred, truth, config, pred_landmarks=marks)
-    known = {m.region for m in report.measured}
-    if a.region and a.protocol != "now" and a.region not in known:
-        needs = "a nose tip" if a.region == "face" else "a canonical frame"
-        raise InputError(
-            expected=f"{needs} of the truth for --region {a.region}",
-            received="a truth without landmarks",
-            remedy="give --landmarks, or --region all",
-        )
     if a.json:
         print(surface_json(report, region=a.region))
     else:
