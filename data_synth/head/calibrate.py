@@ -193,6 +193,9 @@ def _loss(t: Template, x: torch.Tensor, d: torch.Tensor, w: torch.Tensor, near_m
     sizes = torch.clamp(smallest - t.strokes.log_size, min=0).sum() + torch.clamp(t.strokes.log_size - 4.0, min=0).sum()
     tall = torch.clamp(t.strokes.weight.abs() - 25.0, min=0).sum()
     thin = torch.clamp(math.log(1.5) - t.masses.log_size, min=0).sum()
+    # needles are what strays from the surface
+    stretch = t.masses.log_size.max(-1).values - t.masses.log_size.min(-1).values
+    thin = thin + torch.clamp(stretch - math.log(7.0), min=0).sum()
     blend = (
         torch.clamp(math.log(0.5) - t.masses.weight, min=0).sum() + torch.clamp(t.lids[11:].neg() - 1.6, min=0).sum()
     )

@@ -76,7 +76,7 @@ def refine_axis_values(coarse: np.ndarray, axes: tuple[np.ndarray, ...], fine: t
     return out
 
 
-def sample_grid(template: Template, fine_mm: float = 1.25, coarse_mm: float = 2.2, band_mm: float = 5.0) -> HeadGrid:
+def sample_grid(template: Template, fine_mm: float = 1.3, coarse_mm: float = 2.6, band_mm: float = 5.0) -> HeadGrid:
     """The template's field on a graded grid; exact within ``band_mm`` of the surface (more where |f| is small)."""
     f, c = fine_mm, coarse_mm
     x_half = graded_axis((0.0, 55.0, 72.0, 92.0, 190.0), (f, c, f, 2 * c))
@@ -112,7 +112,6 @@ def extract(grid: HeadGrid, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Values within 1e-7 m of zero are moved off it, as marching cubes makes zero-area triangles there.
     """
-    import trimesh
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from skimage.measure import marching_cubes
@@ -135,6 +134,7 @@ def extract(grid: HeadGrid, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     f = f[keep[f[:, 0]]]
     renumber = np.cumsum(keep) - 1
     v, f = v[keep], renumber[f]
-    if trimesh.Trimesh(v, f, process=False).volume < 0:
+    corner = v[f] - v.mean(0)
+    if np.einsum("ni,ni->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) < 0:
         f = f[:, ::-1]
     return v, np.ascontiguousarray(f)

@@ -207,18 +207,21 @@ def _layer_thickness(x_mm: np.ndarray, style: HairStyle, seed: int) -> np.ndarra
 
 def _hanging_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
     """Union of the hanging volumes (mm), cut off in front so that the face stays free."""
-    y, z = x_mm[:, 1], x_mm[:, 2]
+    x, y, z = np.ascontiguousarray(x_mm.T)
     out = np.full(len(x_mm), np.inf)
     for cx, cy, cz, rx, ry, rz in style.volumes:
         length = size if ry > 50 else 1.0
-        local = np.stack([np.abs(x_mm[:, 0]) - cx, y - (cy + 40 * (1 - length)), z - cz], -1)
-        r = np.array([rx, ry * length, rz])
-        k0 = np.sqrt(((local / r) ** 2).sum(-1)) + 1e-9
-        k1 = np.sqrt(((local / r**2) ** 2).sum(-1)) + 1e-9
-        volume = np.maximum(k0 * (k0 - 1) / k1, z - (style.front + 150.0 * smoothstep(y, 20.0, 70.0)))
+        # longer hair hangs lower, its top stays
+        squares = [
+            ((a - c) / r) ** 2
+            for a, c, r in ((np.abs(x), cx, rx), (y, cy + 40 * (1 - length), ry * length), (z, cz, rz))
+        ]
+        k0 = np.sqrt(squares[0] + squares[1] + squares[2]) + 1e-9
+        k1 = np.sqrt(squares[0] / rx**2 + squares[1] / (ry * length) ** 2 + squares[2] / rz**2) + 1e-9
+        volume = k0 * (k0 - 1) / k1
         gap = np.clip(10.0 - np.abs(out - volume), 0.0, None)
         out = np.minimum(out, volume) - gap * gap / 40.0
-    return out
+    return np.maximum(out, z - (style.front + 150.0 * smoothstep(y, 20.0, 70.0)))
 
 
 def hair_field_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray | None = None) -> np.ndarray:
@@ -232,7 +235,8 @@ def hair_field_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray | None 
     size = params.hair_length
     d = interpolate_scalp(x_mm) if d_mm is None else d_mm.astype(np.float64)
     reach = 1.3 * size * max(style.top, style.side, style.back) + 10.0
-    h = d - reach + 4.0
+    # away from the scalp only the sign and a lower bound matter; nothing grows below the neck
+    h = np.where(x_mm[:, 1] > -110.0, d - reach + 4.0, d + 3.0)
     near = np.flatnonzero((np.abs(d) < reach) & (x_mm[:, 1] > -110.0))
     x = x_mm[near]
     grown = np.zeros(len(x_mm))

@@ -67,7 +67,9 @@ def identity_landmarks(identity: np.ndarray) -> np.ndarray:
 
 
 def _kernel(config: WarpConfig, x: np.ndarray, sites: np.ndarray) -> np.ndarray:
-    r2 = ((x[:, None] - sites[None]) ** 2).sum(-1)
+    middle = sites.mean(0)
+    x, sites = x - middle, sites - middle
+    r2 = (x**2).sum(1)[:, None] + (sites**2).sum(1)[None] - 2.0 * (x @ sites.T)
     wide = np.exp(-0.5 * r2 / config.wide_m**2)
     narrow = np.exp(-0.5 * r2 / config.narrow_m**2)
     return (1 - config.narrow_share) * wide + config.narrow_share * narrow

@@ -97,7 +97,7 @@ def masks(x_mm: np.ndarray, params: HeadParams) -> Masks:
     band = smoothstep(1.0 - np.abs(y - middle) / half, -0.25, 0.75)
     brow = band * (0.72 + 0.28 * hairs) * smoothstep(x, 8.0, 13.0) * smoothstep(61.0 - x, 0.0, 6.0) * in_front
     hair = smoothstep(-hair_field_mm(x_mm, params), -1.6, -0.9)
-    nostril = np.exp(-0.5 * (((x - 7.0) / 2.6) ** 2 + ((y + 43.0) / 3.4) ** 2 + ((z - 26.0) / 4.5) ** 2) ** 2)
+    nostril = np.exp(-0.5 * (((x - 7.8) / 4.0) ** 2 + ((y + 40.0) / 2.2) ** 2 + ((z - 21.0) / 5.2) ** 2) ** 2)
     jaw = smoothstep(-(y + 50.0 + 0.28 * x), 0.0, 10.0) * smoothstep(y + 122.0, 0.0, 14.0) * smoothstep(z, -62.0, -48.0)
     beard = jaw * (1 - lips) * (1 - np.exp(-0.5 * (((x - 46) / 12) ** 2 + ((y + 60) / 9) ** 2)))
     eye = eye * (1 - hair)
@@ -125,7 +125,9 @@ def _skin(x_mm: np.ndarray, params: HeadParams, m: Masks) -> np.ndarray:
     red += 0.5 * _bump(x_mm, (31, -10, 8), (11, 5, 8)) + 0.5 * _bump(x_mm, (18, -5, 7), (4, 4, 5))
     pale = 0.25 * _bump(x_mm, (0, 55, 10), (45, 25, 30))
     mottle = 0.8 * curls(x_mm, params.seed + 3, 30, 26.0) + 0.6 * curls(x_mm, params.seed + 4, 40, 6.0)
-    blood = p.haemoglobin * (1 + 1.1 * p.redness * red - pale + 0.10 * mottle) * (1 + 2.2 * p.lip_colour * m.lips)
+    blood = (
+        p.haemoglobin * (1 + 1.1 * p.redness * red - pale + 0.10 * mottle) * (1 + (0.8 + 3.6 * p.lip_colour) * m.lips)
+    )
     under_eye = _bump(x_mm, (28, -11, 8), (10, 4, 8)) + 0.7 * _bump(x_mm, (30, 8, 10), (12, 4, 8))
     melanin = p.melanin * (1 + 0.05 * mottle + 0.25 * under_eye + 0.35 * m.lips)
     if p.freckles:

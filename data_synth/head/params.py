@@ -73,7 +73,7 @@ class Pigment:
     """
 
     melanin: float = 0.05
-    haemoglobin: float = 0.008
+    haemoglobin: float = 0.009
     redness: float = 0.5
     freckles: float = 0.0
     stubble: float = 0.2

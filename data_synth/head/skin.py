@@ -18,7 +18,7 @@ MELANIN_PER_CM = 6.6e11 * WAVELENGTH_NM**-3.33
 # its lines are far narrower than those, and single wavelengths on the 540 nm peak make light skin purple.
 BLOOD_PER_CM = np.array([20.0, 205.0, 340.0])
 # the last term is carotene and bilirubin, which absorb blue only; fitted so that fair skin has the blue of real albedos
-BASELINE_PER_CM = 0.244 + 85.3 * np.exp(-(WAVELENGTH_NM - 154.0) / 66.2) + np.array([0.0, 0.0, 3.0])
+BASELINE_PER_CM = 0.244 + 85.3 * np.exp(-(WAVELENGTH_NM - 154.0) / 66.2) + np.array([0.0, 0.0, 2.0])
 SCATTERING_PER_CM = 68.7 * (WAVELENGTH_NM / 500.0) ** -1.161
 EPIDERMIS_CM = 0.006
 REFRACTIVE_INDEX = 1.4

@@ -130,9 +130,14 @@ def masses_field(t: Template, x_mm: Tensor) -> Tensor:
     local = (x_mm @ frame.permute(1, 0, 2).reshape(3, -1)).reshape(len(x_mm), -1, 3) - offset
     distance = _ellipsoid(local, torch.exp(log_size))
     k = torch.exp(log_k)
-    f = distance[:, 0]
-    for i in range(1, distance.shape[1]):
-        f = smooth_min(f, distance[:, i], k[i])
+    f, column = distance[:, 0], 0
+    for i, paired in enumerate(t.masses.paired.tolist()):
+        one = distance[:, column]
+        if paired:
+            # left and right are joined first: the smooth minimum is not associative, and the head is symmetric
+            one = smooth_min(one, distance[:, column + 1], k[column])
+        f = one if i == 0 else smooth_min(f, one, k[column])
+        column += 2 if paired else 1
     return f
 
 
@@ -201,7 +206,7 @@ def template_field(t: Template, x_mm: Tensor) -> Tensor:
     opening, _, _ = lid_opening(t, x_mm)
     skin = smooth_max(skin, -opening, torch.exp(t.lids[11]))
     f = smooth_min(skin, eyeball_field(t, x_mm), torch.exp(t.lids[12]))
-    return torch.maximum(f, t.floor_mm - x_mm[:, 1])
+    return smooth_max(f, t.floor_mm - x_mm[:, 1], 3.0)
 
 
 def template_to_json(t: Template) -> dict:
