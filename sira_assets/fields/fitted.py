@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
@@ -117,7 +117,7 @@ def load_fitted(path: Path) -> FittedHead:
         if "refinement" in metadata:
             refinement = RefinementConfig(**json.loads(metadata["refinement"]))
             modules["refinement"] = AlbedoRefinement(refinement, feature_size=feature_size)
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             expected=f"a fitted head (field.safetensors) at {path}",
             received=f"{type(error).__name__}: {error}",

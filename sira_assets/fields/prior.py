@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
@@ -96,7 +96,7 @@ def load_prior(path: Path | None = None) -> Prior:
         appearance = AppearanceFactorModel(
             AppearanceConfig(**json.loads(header["appearance"])), feature_size=shape.config.feature_size
         )
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             expected=f"a trained prior at {path}",
             received=f"{type(error).__name__}: {error}",

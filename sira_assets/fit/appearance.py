@@ -202,7 +202,7 @@ def fit_appearance(
                 optimiser.step()
             schedule.step()
             if done % 10 == 0:
-                history.append((done, {key: float(value) for key, value in losses.items()}))
+                history.append((done, {key: float(value.detach()) for key, value in losses.items()}))
             done += 1
             report(done, total)
     freeze(refinement)

@@ -165,7 +165,7 @@ def fit_geometry(
                 optimiser.step()
             schedule.step()
             if (start + step) % 10 == 0:
-                history.append((start + step, {name: float(value) for name, value in losses.items()}))
+                history.append((start + step, {name: float(value.detach()) for name, value in losses.items()}))
             report(start + step + 1, total)
 
     run(c.steps_appearance, torch.optim.Adam([appearance], lr=c.rate_appearance_codes), 0, geometry=False)

@@ -167,7 +167,7 @@ def train_shape(
         optimiser.step()
         schedule.step()
         if (step + 1) % 50 == 0 or step + 1 == config.steps:
-            report(step + 1, {name: float(value) for name, value in losses.items()})
+            report(step + 1, {name: float(value.detach()) for name, value in losses.items()})
         if (step + 1) % save_every == 0 or step + 1 == config.steps:
             save_checkpoint(path, tensors, optimiser, schedule, step + 1)
     return model, codes
