@@ -96,7 +96,7 @@ def masks(x_mm: np.ndarray, params: HeadParams) -> Masks:
     hairs = 0.5 + 0.25 * np.sin(4.1 * lean + 2.0 * np.sin(0.7 * x + params.seed % 7)) + 0.25 * np.sin(6.3 * lean + y)
     band = smoothstep(1.0 - np.abs(y - middle) / half, -0.25, 0.75)
     brow = band * (0.72 + 0.28 * hairs) * smoothstep(x, 8.0, 13.0) * smoothstep(61.0 - x, 0.0, 6.0) * in_front
-    hair = smoothstep(-hair_field_mm(x_mm, params), -1.6, -0.9)
+    hair = smoothstep(-hair_field_mm(x_mm, params), -2.6, -1.9)
     nostril = np.exp(-0.5 * (((x - 7.8) / 4.0) ** 2 + ((y + 40.0) / 2.2) ** 2 + ((z - 21.0) / 5.2) ** 2) ** 2)
     jaw = smoothstep(-(y + 50.0 + 0.28 * x), 0.0, 10.0) * smoothstep(y + 122.0, 0.0, 14.0) * smoothstep(z, -62.0, -48.0)
     beard = jaw * (1 - lips) * (1 - np.exp(-0.5 * (((x - 46) / 12) ** 2 + ((y + 60) / 9) ** 2)))
