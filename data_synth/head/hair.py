@@ -185,7 +185,7 @@ def hairline_height(x_mm: np.ndarray, recede_mm: float = 0.0) -> np.ndarray:
     bald_front = np.exp(-0.5 * ((HAIRLINE_AZIMUTH - 30.0) / 14.0) ** 2) * 1.3 + (HAIRLINE_AZIMUTH < 10) * 0.7
     line = PchipInterpolator(HAIRLINE_AZIMUTH, HAIRLINE_HEIGHT + recede_mm * bald_front)(theta)
     # near the crown the azimuth has no meaning: hair grows there whatever the front does
-    return np.where(x_mm[:, 1] > 96.0, np.maximum(x_mm[:, 1] - line, 20.0), x_mm[:, 1] - line)
+    return np.maximum(x_mm[:, 1] - line, 4.0 * (x_mm[:, 1] - 93.0))
 
 
 def _layer_thickness(x_mm: np.ndarray, style: HairStyle, seed: int) -> np.ndarray:

@@ -114,7 +114,7 @@ def hair_colour(params: HeadParams) -> np.ndarray:
     p = params.pigment
     eumelanin, phaeomelanin = p.hair_melanin * (1 - 0.5 * p.hair_redness), 0.35 * p.hair_redness
     # absorption ratios of the two melanins after d'Eon et al. 2011, DOI 10.1111/j.1467-8659.2011.01976.x
-    absorption = 3.9 * eumelanin * np.array([0.42, 0.70, 1.37]) + 3.9 * phaeomelanin * np.array([0.19, 0.40, 1.05])
+    absorption = 8.0 * eumelanin * np.array([0.42, 0.70, 1.37]) + 3.9 * phaeomelanin * np.array([0.19, 0.40, 1.05])
     return 0.012 + 0.55 * np.exp(-1.15 * absorption)
 
 
