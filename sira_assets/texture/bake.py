@@ -1,7 +1,9 @@
 """From a field to maps over an atlas.
 
-Notation: each texel averages k x k surface samples; a sample's point x on the mesh is moved onto the field's zero set
-(x', at most a few millimetres away) and asked there, so the maps carry the field's detail and not the triangles'.
+Notation: a texel's mean point on the mesh is moved onto the field's zero set (at most a few millimetres) and its normal
+taken there; the same move carries the texel's k x k surface samples, whose albedos are averaged. So the maps carry the
+field's detail and not the triangles'. Normals are not supersampled: it costs four times the network gradients, and a
+field's normals hardly turn within a texel of half a millimetre, while albedos have edges.
 Irradiance E(n) = integral of L(w) max(0, n.w) over the sphere, of the SG light alone, without shadows.
 Everything is in the canonical frame.
 """
@@ -28,7 +30,7 @@ class BakeConfig:
     Parameters
     ----------
     size : texels a side
-    samples : k; each texel averages k x k samples
+    samples : k; each texel averages the albedos of k x k samples
     rows_per_chunk : texel rows baked at once; bounds the memory, changes nothing else
     project : how samples reach the zero set; 20 micrometres is far below a texel (about 0.3 mm at 1024)
     min_cosine : a projected sample whose field normal turns further than this from the mesh's is kept on the mesh:
@@ -85,23 +87,20 @@ def bake(
         mesh_canonical.vertices[corners], mesh_canonical.normals[corners], frame[..., :3], frame[:, 0, 3]
     )
     size = config.size
-    # Columns: diffuse 3, specular 1, tangent-space normal 3, canonical normal 3, number of samples.
-    sums = np.zeros((size * size, 11))
+    # Columns: diffuse 3, specular 1, tangent-space normal 3, canonical normal 3.
+    found = np.zeros((size * size, 10))
+    coverage = np.zeros(size * size, bool)
     for first in range(0, size, config.rows_per_chunk):
         last = min(first + config.rows_per_chunk, size)
         samples = rasterise(atlas.uv, atlas.faces_uv, size, samples=config.samples, first_row=first, last_row=last)
         if len(samples.face):
-            rows = slice(first * size, last * size)
-            sums[rows] = _bake_rows(field, surface, samples, rows, config, device)
-    coverage = sums[:, 10] > 0
+            texels, band = _bake_rows(field, surface, samples, config, device)
+            found[texels], coverage[texels] = band, True
     if not coverage.any():
         raise InputError(expected="an atlas that covers some texels", received="none", remedy="unwrap again")
-    mean = sums[coverage, :10] / sums[coverage, 10:]
-    mean[:, 4:7] = _unit(mean[:, 4:7], (0.0, 0.0, 1.0))
-    mean[:, 7:10] = _unit(mean[:, 7:10], (0.0, 0.0, 1.0))
     values = np.zeros((size * size, 10), np.float32)
-    values[coverage, :7] = mean[:, :7]
-    values[coverage, 7:] = _irradiance(mean[:, 7:10], light, world_from_canonical)
+    values[:, :7] = found[:, :7]
+    values[coverage, 7:] = _irradiance(found[coverage, 7:], light, world_from_canonical)
     maps = fill_empty(values.reshape(size, size, 10), coverage.reshape(size, size))
     return TextureSet(
         diffuse=np.ascontiguousarray(maps[..., :3]),
@@ -132,22 +131,28 @@ def _bake_rows(
     field: HeadField,
     surface: _Surface,
     samples: AtlasSamples,
-    rows: slice,
     config: BakeConfig,
     device: str,
-) -> np.ndarray:
-    """(texels, 11) sums over the samples of a band of rows."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Texels of a band that have samples, and their (N, 10) values: albedos, tangent-space and canonical normals."""
+    texels, local = np.unique(samples.texel, return_inverse=True)
+    count = np.bincount(local)[:, None]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(local, column) for column in values.T], 1) / count
+
     position, normal, tangent = (
         np.einsum("nk,nkc->nc", samples.barycentric, corner[samples.face])
         for corner in (surface.positions, surface.normals, surface.tangents)
     )
-    normal = _unit(normal, (0.0, 0.0, 1.0))
-    moved = project_points(field, position, config.project, device=device)
+    centre, normal, tangent = mean(position), _unit(mean(normal), (0.0, 0.0, 1.0)), mean(tangent)
+    hand = np.where(mean(surface.hand[samples.face][:, None])[:, 0] < 0, -1.0, 1.0)
+    moved = project_points(field, centre, config.project, device=device)
     # Ten times the tolerance: the last step of a point that converges may fall a little short of it.
     good = np.abs(moved.residual_m) <= 10 * config.project.tolerance_m
     good &= (moved.normals * normal).sum(1) > config.min_cosine
-    position = np.where(good[:, None], moved.points, position)
     detail = np.where(good[:, None], moved.normals, normal)
+    position = position + np.where(good[:, None], moved.points - centre, 0.0)[local]
     there = query(field, position, material=True, device=device)
     bad = ~(np.isfinite(there.diffuse).all(1) & np.isfinite(there.specular_f0))
     if bad.any():
@@ -156,17 +161,8 @@ def _bake_rows(
             received=f"{int(bad.sum())} samples not finite, the first at {position[bad][0].round(4).tolist()}",
             remedy="the weights are damaged or the fit diverged; fit again",
         )
-    columns = np.column_stack(
-        [
-            there.diffuse,
-            there.specular_f0,
-            to_tangent_space(detail, normal, tangent, surface.hand[samples.face]),
-            detail,
-            np.ones(len(position)),
-        ]
-    )
-    local = samples.texel - rows.start
-    return np.stack([np.bincount(local, column, rows.stop - rows.start) for column in columns.T], 1)
+    albedos = mean(np.column_stack([there.diffuse, there.specular_f0]))
+    return texels, np.column_stack([albedos, to_tangent_space(detail, normal, tangent, hand), detail])
 
 
 def _irradiance(normals: np.ndarray, light: SGLight, world_from_canonical: np.ndarray) -> np.ndarray:
