@@ -210,7 +210,7 @@ def template_field(t: Template, x_mm: Tensor) -> Tensor:
 
 
 def template_to_json(t: Template) -> dict:
-    """Named, rounded parameters, as `template_from_json` reads them."""
+    """Named, rounded parameters, as `template_from_json` reads them (the shipped file adds a line on its source)."""
 
     def rows(p: Primitives) -> list[dict]:
         out = []
