@@ -17,18 +17,26 @@ from torch import Tensor, nn
 from sira_assets.atomic import replacing
 from sira_assets.errors import InputError
 from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
-from sira_assets.fields.mlp import MLP, UNIT_M, encode, encoded_size
+from sira_assets.fields.mlp import MLP, UNIT_M
 from sira_assets.fields.prior import freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
 
 
 @dataclass(frozen=True)
 class RefinementConfig:
-    """Size of a_refine. Octave k has the wavelength 2 pi UNIT_M / 2^k: 2.5 mm at the ninth."""
+    """Size of a_refine.
+
+    Parameters
+    ----------
+    waves : random plane waves that encode x_ref
+    longest, shortest : their wavelengths, network units; 0.03 is 3 mm, about two pixels of a 512-pixel portrait
+    """
 
     width: int = 128
     depth: int = 3
-    octaves: int = 9
+    waves: int = 96
+    longest: float = 4.0
+    shortest: float = 0.03
 
 
 class AlbedoRefinement(nn.Module):
@@ -37,12 +45,28 @@ class AlbedoRefinement(nn.Module):
     def __init__(self, config: RefinementConfig = RefinementConfig(), *, feature_size: int = 16):
         super().__init__()
         self.config = config
-        self.net = MLP(encoded_size(3, config.octaves) + feature_size, 3, width=config.width, depth=config.depth)
+        self.net = MLP(2 * config.waves + feature_size, 3, width=config.width, depth=config.depth)
         nn.init.zeros_(self.net.out.weight)
+        self.register_buffer("frequencies", wave_vectors(config))
 
     def forward(self, x_ref: Float[Tensor, "N 3"], gamma: Float[Tensor, "N G"]) -> Float[Tensor, "N 3"]:
         """Correction to the linear albedo, zero before training."""
-        return self.net(torch.cat([encode(x_ref, self.config.octaves), gamma], -1))
+        phase = x_ref @ self.frequencies
+        return self.net(torch.cat([torch.sin(phase), torch.cos(phase), gamma], -1))
+
+
+def wave_vectors(config: RefinementConfig) -> Float[Tensor, "3 W"]:
+    """Angular wave vectors: random directions, wavelengths even in the logarithm.
+
+    Directions off the axes: the encoding by octaves along each axis (see `fields.mlp.encode`) leaves a weave of its
+    own in the albedo. Tancik et al. 2020, Fourier features let networks learn high frequency functions, arXiv
+    2006.10739.
+    """
+    generator = torch.Generator().manual_seed(0)
+    direction = nn.functional.normalize(torch.randn(3, config.waves, generator=generator, dtype=torch.float64), dim=0)
+    share = torch.linspace(0.0, 1.0, config.waves, dtype=torch.float64)
+    wavelength = config.longest * (config.shortest / config.longest) ** share
+    return (2.0 * torch.pi * direction / wavelength).float()
 
 
 @dataclass(frozen=True)

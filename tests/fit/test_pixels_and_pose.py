@@ -1,0 +1,88 @@
+"""Rays of a portrait in the canonical frame, the silhouette band, and the pose correction."""
+
+import numpy as np
+import torch
+
+from sira_assets.fields.mlp import UNIT_M
+from sira_assets.fit.pixels import CUT_Y_M, face_weight, mask_rays, pixels_per_metre, silhouette_band
+from sira_assets.fit.pose import PoseCorrection, corrected, rotation_matrix
+from sira_assets.scene.camera import Camera
+from sira_assets.scene.canonical import transform_points
+from sira_assets.scene.portrait import Portrait
+
+
+def portrait(size=96, scale=1.1, shift=(0.2, -0.1, 0.3)) -> Portrait:
+    """A camera one metre in front of a head that stands, turned and scaled, somewhere in a world."""
+    rng = np.random.default_rng(5)
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.sign(np.linalg.det(q))
+    canonical_from_world = np.eye(4)
+    canonical_from_world[:3, :3] = scale * q
+    canonical_from_world[:3, 3] = shift
+    camera_in_canonical = np.eye(4)
+    camera_in_canonical[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    camera_in_canonical[:3, 3] = (0.0, -0.05, 1.0)
+    pose = np.linalg.inv(canonical_from_world) @ camera_in_canonical
+    pose[:3, :3] /= np.cbrt(np.linalg.det(pose[:3, :3]))
+    k = np.array([[2.0 * size, 0, size / 2], [0, 2.0 * size, size / 2], [0, 0, 1]])
+    rows, columns = np.mgrid[:size, :size]
+    mask = ((rows - 45) / 30.0) ** 2 + ((columns - 48) / 20.0) ** 2 < 1
+    mask |= (rows > 60) & (abs(columns - 48) < 12)
+    image = rng.uniform(0.0, 1.0, (size, size, 3)).astype(np.float32)
+    return Portrait(image, mask, Camera(k, pose, size, size), canonical_from_world, np.zeros_like(mask))
+
+
+def test_rays_pass_through_what_projects_to_their_pixels():
+    p = portrait()
+    rays = mask_rays(p)
+    x_canonical = (rays.origins + 9.0 * rays.directions).double().numpy() * UNIT_M
+    u, depth = p.camera.project(transform_points(p.world_from_canonical, x_canonical))
+    assert (depth > 0).all()
+    # float32 rays of length 0.9 m seen with a focal length of 192 px
+    np.testing.assert_allclose(u[:, 0], rays.column.numpy() + 0.5, atol=1e-3)
+    np.testing.assert_allclose(u[:, 1], rays.row.numpy() + 0.5, atol=1e-3)
+    assert len(rays) == p.mask.sum()
+
+
+def test_scale_of_the_picture_is_focal_length_over_depth():
+    p = portrait(scale=1.3)
+    # One canonical metre at depth 1 canonical metre, focal length 192 px, whatever the world's scale.
+    assert abs(pixels_per_metre(p) - 192.0) < 1e-6
+
+
+def test_band_hugs_the_edge_and_leaves_out_the_cut_below_the_chin():
+    p = portrait()
+    rows, columns = silhouette_band(p)
+    outside = ~p.mask[rows, columns]
+    assert outside.any()
+    assert (~outside).any()
+    # The plane z = 0 stands one metre away and is centred 5 cm above the picture's centre.
+    y = -0.05 - (rows + 0.5 - 48) / 192.0
+    assert (y[outside] > CUT_Y_M - 1e-6).all()
+
+
+def test_faces_are_drawn_more_often():
+    p = portrait()
+    weight = face_weight(mask_rays(p))
+    assert set(weight.tolist()) <= {1.0, 3.0}
+    assert (weight == 3.0).any()
+
+
+def test_pose_correction_is_a_rigid_motion_of_rays():
+    w, u = torch.tensor([0.1, -0.2, 0.05]), torch.tensor([0.3, 0.1, -0.2])
+    correction = PoseCorrection(w, u)
+    r = rotation_matrix(w.double())
+    torch.testing.assert_close(r @ r.T, torch.eye(3, dtype=torch.float64), atol=1e-14, rtol=0)
+    torch.testing.assert_close(r @ w.double(), w.double(), atol=1e-14, rtol=0)  # the axis stays
+    o, d = torch.randn(20, 3), torch.nn.functional.normalize(torch.randn(20, 3), dim=-1)
+    o2, d2 = corrected(correction, o, d)
+    # the correction as a matrix in metres says the same as the correction of rays in network units
+    x = (o + 2.0 * d).double().numpy() * UNIT_M
+    moved = transform_points(correction.matrix(), x) / UNIT_M
+    np.testing.assert_allclose((o2 + 2.0 * d2).numpy(), moved, atol=1e-5)
+
+
+def test_rotation_has_a_gradient_at_zero():
+    w = torch.zeros(3, requires_grad=True)
+    rotation_matrix(w)[0, 1].backward()
+    torch.testing.assert_close(w.grad, torch.tensor([0.0, 0.0, -1.0]))
