@@ -9,6 +9,8 @@ faces.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
@@ -26,11 +28,15 @@ class OuterSurfaceConfig:
         mouth bag seen through a slit goes.
     offset : how far from the face a ray starts, as a part of the bounding box's diagonal. 4e-5 is 0.02 mm on a 0.5 m
         head: above what float32 rays mistake for a hit on their own face, below the gap between lid and eyeball.
+    close_openings : rays do not pass through the mesh's own holes, each closed by a fan for the rays alone. A bust is
+        open below; through that opening a mouth bag sees the outside and would count (on the model heads of the tests
+        it adds 1 to 1.5 mm to the face error of a reconstruction without a mouth bag).
     """
 
     directions: int = 192
     needed: int = 6
     offset: float = 4e-5
+    close_openings: bool = True
 
 
 def fibonacci_directions(count: int) -> np.ndarray:
@@ -47,7 +53,10 @@ def outer_faces(mesh: TriangleMesh, config: OuterSurfaceConfig = OuterSurfaceCon
     lower, upper = mesh.vertices.min(0), mesh.vertices.max(0)
     size = max(float(np.linalg.norm(upper - lower)), 1e-30)
     vertices = (mesh.vertices - (lower + upper) / 2) / size
-    raycaster = Raycaster(TriangleMesh(vertices, mesh.faces, mesh.normals))
+    blocking_vertices, blocking_faces = vertices, mesh.faces
+    if config.close_openings:
+        blocking_vertices, blocking_faces = closed_by_fans(vertices, mesh.faces)
+    raycaster = Raycaster(TriangleMesh(blocking_vertices, blocking_faces))
     centroid = vertices[mesh.faces].mean(1)
     normal = face_cross_products(vertices, mesh.faces)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -60,6 +69,31 @@ def outer_faces(mesh: TriangleMesh, config: OuterSurfaceConfig = OuterSurfaceCon
         blocked = raycaster.occluded(centroid[open_question] + side[:, None] * n, direction)
         leaving[open_question] += ~np.asarray(blocked, bool)
     return leaving >= config.needed
+
+
+def closed_by_fans(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces with every hole closed by a fan about its border's mean.
+
+    A border is a connected piece of the edges that one face alone has. Vertices that share a position count as one, so
+    that texture seams are no borders.
+    """
+    _, first, welded = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    f = welded.reshape(-1)[faces]
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    _, index, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    border = edges[index[count == 1]]
+    border = border[border[:, 0] != border[:, 1]]
+    if not len(border):
+        return vertices, faces
+    nodes, local = np.unique(border, return_inverse=True)
+    local = local.reshape(-1, 2)
+    graph = coo_matrix((np.ones(len(local)), (local[:, 0], local[:, 1])), (len(nodes), len(nodes)))
+    pieces, label = connected_components(graph, directed=False)
+    at = vertices[first[nodes]]
+    size = np.bincount(label, minlength=pieces)[:, None]
+    centres = np.stack([np.bincount(label, at[:, k], pieces) for k in range(3)], 1) / size
+    fans = np.stack([first[border[:, 1]], first[border[:, 0]], len(vertices) + label[local[:, 0]]], 1)
+    return np.concatenate([vertices, centres]), np.concatenate([faces, fans])
 
 
 def outer_surface(mesh: TriangleMesh, config: OuterSurfaceConfig = OuterSurfaceConfig()) -> TriangleMesh:

@@ -19,7 +19,7 @@ import numpy as np
 
 from sira_assets.errors import InputError
 from sira_assets.measure.alignment import Alignment, AlignmentConfig, AlignmentKind, align, landmark_start
-from sira_assets.measure.outer_surface import outer_surface
+from sira_assets.measure.outer_surface import OuterSurfaceConfig, outer_surface
 from sira_assets.measure.regions import (
     FACE_RADIUS_M,
     NOW_LANDMARKS,
@@ -48,6 +48,7 @@ class ProtocolConfig:
     samples : points per surface of `surface`; 60,000 put the noise of a face's mean below 0.005 mm
     seed : of the samples
     leave_out_inner : drop inner surfaces of truth and prediction (mouth bags, eyeball backs)
+    close_openings : what is seen only through a mesh's own holes (a bust's open bottom) is inner
     """
 
     protocol: Protocol = "surface"
@@ -55,6 +56,7 @@ class ProtocolConfig:
     samples: int = 60_000
     seed: int = 0
     leave_out_inner: bool = True
+    close_openings: bool = True
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,8 @@ def without_inner(pred: TriangleMesh, truth: Truth, config: ProtocolConfig) -> t
     """Both surfaces without what no one sees from outside, where the configuration asks for that (seconds of rays)."""
     if not config.leave_out_inner:
         return pred, truth
-    return outer_surface(pred), replace(truth, mesh=outer_surface(truth.mesh))
+    outer = OuterSurfaceConfig(close_openings=config.close_openings)
+    return outer_surface(pred, outer), replace(truth, mesh=outer_surface(truth.mesh, outer))
 
 
 def measure_prepared(

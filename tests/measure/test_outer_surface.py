@@ -3,7 +3,7 @@
 import numpy as np
 from shapes import sphere
 
-from sira_assets.measure.outer_surface import fibonacci_directions, outer_faces, outer_surface
+from sira_assets.measure.outer_surface import OuterSurfaceConfig, fibonacci_directions, outer_faces, outer_surface
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 
 
@@ -38,3 +38,17 @@ def test_an_open_sheet_keeps_every_face():
     mesh = sphere(0.1, 3)
     cap = mesh.faces[mesh.vertices[mesh.faces][:, :, 2].min(1) > 0]
     assert outer_faces(TriangleMesh(mesh.vertices, cap)).all()
+
+
+def test_a_bag_seen_through_an_open_bottom_is_inner():
+    """An open-bottomed ball with a ball inside: the inner one sees out through the hole, until the hole is closed."""
+    outside = sphere(0.1, 3)
+    centroid = outside.vertices[outside.faces].mean(1)
+    bust = TriangleMesh(outside.vertices, outside.faces[centroid[:, 1] > -0.08])
+    inside = sphere(0.03, 2)
+    joined = _joined(bust, inside)
+    inner = np.arange(len(joined.faces)) >= len(bust.faces)
+    closed = outer_faces(joined)
+    assert closed[~inner].all()
+    assert not closed[inner].any()
+    assert outer_faces(joined, OuterSurfaceConfig(close_openings=False))[inner].any()
