@@ -23,13 +23,14 @@ from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.geometry import GeometryFit
+from sira_assets.fit.light import FreeLight
 from sira_assets.fit.pixels import PixelRays, mask_rays
 from sira_assets.numerics.sg import irradiance
 from sira_assets.render.shading import ROUGHNESS, Shading, shade
 from sira_assets.render.tracing import sphere_trace
 from sira_assets.scene.portrait import Portrait
 from sira_assets.scene.sg_light import SGLight
-from sira_assets.train.batches import srgb_encode
+from sira_assets.train.batches import srgb_decode, srgb_encode
 
 
 @dataclass(frozen=True)
@@ -101,30 +102,6 @@ def visible_surface(portrait: Portrait, geometry: GeometryFit, *, chunk: int = 1
     return SurfacePoints(x, normals, -rays.directions, x_ref, gamma, rays)
 
 
-class _Light:
-    """Lobes in log space, so that sharpness and amplitude stay positive with a gradient everywhere."""
-
-    def __init__(self, prior: Prior):
-        with torch.no_grad():
-            axis, sharpness, amplitude = (t[0] for t in prior.appearance.lobes(prior.z_l.mean[None]))
-        self.axis = nn.Parameter(axis.clone())
-        self.log_sharpness = nn.Parameter(sharpness.log())
-        self.log_amplitude = nn.Parameter(amplitude.clamp_min(1e-4).log())
-        self.start = (self.log_sharpness.detach().clone(), self.log_amplitude.detach().clone())
-
-    def parameters(self):
-        return [self.axis, self.log_sharpness, self.log_amplitude]
-
-    def lobes(self):
-        axis = nn.functional.normalize(self.axis, dim=-1)
-        return axis, self.log_sharpness.clamp(-4.0, 8.0).exp(), self.log_amplitude.clamp(-12.0, 10.0).exp()
-
-    def energy(self):
-        """How far the lobes went from the prior's mean light, and how coloured they are."""
-        chroma = self.log_amplitude - self.log_amplitude.mean(-1, keepdim=True)
-        return (self.log_sharpness - self.start[0]).square().sum() + 4.0 * chroma.square().sum()
-
-
 def fit_appearance(
     portrait: Portrait,
     geometry: GeometryFit,
@@ -142,7 +119,7 @@ def fit_appearance(
     surface = surface.rows(torch.nonzero(surface.rays.usable)[:, 0])
     if len(surface.x) > c.max_surface:
         surface = surface.rows(torch.randperm(len(surface.x), generator=generator, device=device)[: c.max_surface])
-    light = _Light(prior)
+    light = FreeLight(prior)
     model = prior.appearance
     z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
     z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
@@ -264,15 +241,13 @@ def _specular_evidence(head: FittedHead, surface: SurfacePoints, lobes) -> FitDe
 
 
 @torch.no_grad()
-def _match_exposure(light: _Light, surface: SurfacePoints, model, prior) -> None:
+def _match_exposure(light: FreeLight, surface: SurfacePoints, model, prior) -> None:
     """Scale the starting light so that the mean albedo under it is as bright as the photo, in each channel's mean."""
     albedo = model.diffuse(surface.x_ref, surface.gamma, prior.z_a.mean)
     none = torch.zeros_like(albedo[:, 0])
     shading: Shading = shade(surface.normals, surface.view, albedo, none, *light.lobes(), roughness=ROUGHNESS)
-    photo = surface.rays.rgb
-    linear = torch.where(photo <= 0.04045, photo / 12.92, ((photo + 0.055) / 1.055) ** 2.4)
-    gain = linear.mean() / shading.radiance.mean().clamp_min(1e-6)
-    light.log_amplitude += float(torch.log(gain.clamp(1e-4, 1e4)))
+    gain = srgb_decode(surface.rays.rgb).mean() / shading.radiance.mean().clamp_min(1e-6)
+    light.scale(float(gain))
 
 
 @torch.no_grad()

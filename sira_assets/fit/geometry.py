@@ -18,10 +18,13 @@ from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
+from sira_assets.fit.light import FreeLight
 from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, silhouette_band
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.render.shading import shade
 from sira_assets.render.tracing import TraceConfig, differentiable_hit, sphere_trace
 from sira_assets.scene.portrait import Portrait
+from sira_assets.train.batches import srgb_decode, srgb_encode
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,7 @@ class GeometryFitConfig:
 
     steps_appearance: int = 80
     steps_codes: int = 260
+    steps_shading: int = 200
     steps_networks: int = 160
     pool: int = 6000
     band_pool: int = 2500
@@ -43,13 +47,19 @@ class GeometryFitConfig:
     rate_codes: float = 0.04
     rate_appearance_codes: float = 0.08
     rate_pose: float = 0.004
+    rate_light: float = 0.03
+    rate_albedo_codes: float = 0.03
     rate_networks: float = 1.0e-4
     colour: float = 1.0
     silhouette: float = 0.5
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
+    reach: float = 0.1
     prior: float = 3.0e-5
     appearance_prior: float = 3.0e-6
+    shading: float = 1.0
+    albedo_prior: float = 1.0e-4
+    light_prior: float = 3.0e-5
     eikonal: float = 0.05
     # Phase B stays near phase A: squared change of the deformation over the surface and around it.
     anchor: float = 5.0
@@ -144,8 +154,9 @@ def fit_geometry(
     appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1], device=device))
     pose = PoseCorrection(nn.Parameter(torch.zeros(3, device=device)), nn.Parameter(torch.zeros(3, device=device)))
     codes = lambda: (prior.z_sdf.code(coefficients), prior.z_r.code(appearance))  # noqa: E731
-    fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator)
-    total = c.steps_appearance + c.steps_codes + c.steps_networks
+    shading = _Shading(prior, c)
+    fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator, shading)
+    total = c.steps_appearance + c.steps_codes + c.steps_shading + c.steps_networks
     history: list[tuple[int, dict[str, float]]] = []
 
     def run(steps, optimiser, start, **options):
@@ -168,19 +179,33 @@ def fit_geometry(
                 history.append((start + step, {name: float(value.detach()) for name, value in losses.items()}))
             report(start + step + 1, total)
 
+    def shape_groups(rate):
+        # New dicts for every optimiser: it keeps, and its schedule lowers, the rates in those it is given.
+        found = [{"params": [coefficients], "lr": rate}]
+        if portrait.pose_is_estimated:
+            found.append({"params": [pose.rotation, pose.translation], "lr": c.rate_pose})
+        return found
+
     run(c.steps_appearance, torch.optim.Adam([appearance], lr=c.rate_appearance_codes), 0, geometry=False)
-    groups = [
-        {"params": [coefficients], "lr": c.rate_codes},
-        {"params": [appearance], "lr": 0.5 * c.rate_appearance_codes},
-    ]
-    if portrait.pose_is_estimated:
-        groups.append({"params": [pose.rotation, pose.translation], "lr": c.rate_pose})
-    run(c.steps_codes, torch.optim.Adam(groups), c.steps_appearance, geometry=True)
+    start = c.steps_appearance
+    groups = [*shape_groups(c.rate_codes), {"params": [appearance], "lr": 0.5 * c.rate_appearance_codes}]
+    run(c.steps_codes, torch.optim.Adam(groups), start, geometry=True)
+    start += c.steps_codes
+    if c.steps_shading:
+        lit = c.steps_shading // 4
+        run(lit, torch.optim.Adam(shading.groups()), start, geometry=True, shaded=True)
+        groups = [*shape_groups(c.rate_codes), *shading.groups()]
+        run(c.steps_shading - lit, torch.optim.Adam(groups), start + lit, geometry=True, shaded=True)
+        start += c.steps_shading
     if c.steps_networks:
         fit.open_networks()
-        groups[0]["lr"] = 0.1 * c.rate_codes
-        groups.append({"params": fit.network_parameters(), "lr": c.rate_networks})
-        run(c.steps_networks, torch.optim.Adam(groups), c.steps_appearance + c.steps_codes, geometry=True)
+        extra = shading.groups() if c.steps_shading else [{"params": [appearance], "lr": 0.1 * c.rate_appearance_codes}]
+        groups = [
+            *shape_groups(0.1 * c.rate_codes),
+            *extra,
+            {"params": fit.network_parameters(), "lr": c.rate_networks},
+        ]
+        run(c.steps_networks, torch.optim.Adam(groups), start, geometry=True, shaded=c.steps_shading > 0)
     freeze(model)
     correction = pose.matrix()
     with torch.no_grad():
@@ -197,10 +222,41 @@ def fit_geometry(
     )
 
 
+class _Shading:
+    """AF-SM at the prior's codes and a free light: what normals look like, by physics."""
+
+    def __init__(self, prior, config):
+        self.prior, self.config, self.light = prior, config, FreeLight(prior)
+        self.albedo = nn.Parameter(torch.zeros_like(prior.z_a.basis[0]))
+        self.matched = False
+
+    def groups(self):
+        return [
+            {"params": self.light.parameters(), "lr": self.config.rate_light},
+            {"params": [self.albedo], "lr": self.config.rate_albedo_codes},
+        ]
+
+    def colour(self, x_ref, gamma, normals, view, rgb):
+        model, prior = self.prior.appearance, self.prior
+        albedo = model.diffuse(x_ref, gamma, prior.z_a.code(self.albedo))
+        f0 = model.specular_f0(x_ref, prior.z_s.mean)
+        radiance = shade(normals, view, albedo, f0, *self.light.lobes()).radiance
+        if not self.matched:
+            self.light.scale(float(srgb_decode(rgb).mean() / radiance.detach().mean().clamp_min(1e-6)))
+            self.matched = True
+            return self.colour(x_ref, gamma, normals, view, rgb)
+        return srgb_encode(radiance)
+
+    def energy(self):
+        c = self.config
+        return c.albedo_prior * self.albedo.square().sum() + c.light_prior * self.light.energy()
+
+
 class _Fit:
     """The parts that every step of the fit reads."""
 
-    def __init__(self, config, model, codes, coefficients, appearance, pose, inside, edge, generator):
+    def __init__(self, config, model, codes, coefficients, appearance, pose, inside, edge, generator, shading):
+        self.shading = shading
         self.config, self.model, self.codes, self.pose = config, model, codes, pose
         self.coefficients, self.appearance = coefficients, appearance
         self.inside, self.edge, self.generator = inside, edge, generator
@@ -215,8 +271,12 @@ class _Fit:
         for parameter in self.network_parameters():
             parameter.requires_grad_(True)
 
-    def losses(self, *, geometry: bool) -> dict[str, Tensor]:
-        """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
+    def losses(self, *, geometry: bool, shaded: bool = False) -> dict[str, Tensor]:
+        """Weighted loss terms of one step.
+
+        Without `geometry` only the appearance code learns; `shaded` explains colours by AF-SM and light instead of by
+        the learned renderer.
+        """
         c = self.config
         z_sdf, z_r = self.codes()
         chosen = self.inside.draw(c.rays, self.generator, (self.inside.hit & self.inside.rays.usable).float())
@@ -241,12 +301,19 @@ class _Fit:
         with torch.no_grad():
             self.inside.t[chosen] += ((x - x0) * directions).sum(-1).clamp(-c.lost, c.lost)
         delta, gamma = self.model.deform(x, z_sdf)
-        colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
+        if shaded:
+            colour = self.shading.colour(x + delta, gamma, normals, -directions.detach(), rays.rgb)
+        else:
+            colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
-            "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
+            "colour": (c.shading if shaded else c.colour)
+            * ((colour - rays.rgb).abs().mean(-1) * on).sum()
+            / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self.silhouette(z_sdf),
             "prior": c.prior * self.coefficients.square().sum(),
-            "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
+            "appearance_prior": self.shading.energy()
+            if shaded
+            else c.appearance_prior * self.appearance.square().sum(),
         }
         if self.pose.rotation.requires_grad:
             sigma = self.appearance.new_tensor(POSE_SIGMA)
@@ -270,8 +337,10 @@ class _Fit:
         wrong = ~(hit & rays.in_mask)
         target = rays.in_mask.float()
         logits = -c.alpha * f
-        bce = nn.functional.binary_cross_entropy_with_logits(logits, target, reduction="none") / c.alpha
-        return (bce * wrong).sum() / max(len(chosen), 1) * 10.0
+        off = nn.functional.binary_cross_entropy_with_logits(logits, target, reduction="none") / c.alpha
+        # Saturating: hair and clothes that no code can reach must not bend the face.
+        robust = c.reach * off / (c.reach + off)
+        return 10.0 * (robust * wrong).sum() / max(len(chosen), 1)
 
     def anchor(self, x, z_sdf):
         """Squared change of the deformation since phase A, on the seen surface and all around."""

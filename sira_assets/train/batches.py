@@ -64,3 +64,8 @@ def srgb_encode(linear: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
     """IEC 61966-2-1 encoding of [0, 1], differentiable on the closed interval (clipped outside)."""
     x = linear.clamp(0.0, 1.0)
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055)
+
+
+def srgb_decode(encoded: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
+    """The inverse of `srgb_encode` on [0, 1]."""
+    return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

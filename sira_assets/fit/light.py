@@ -1,0 +1,41 @@
+"""Light as free parameters of a fit.
+
+Notation: lobes in log space, so that sharpness and amplitude stay positive with a gradient everywhere; canonical frame.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from sira_assets.fields.prior import Prior
+
+
+class FreeLight:
+    """Spherical gaussians to be optimised, started at the prior's mean light."""
+
+    def __init__(self, prior: Prior):
+        with torch.no_grad():
+            axis, sharpness, amplitude = (t[0] for t in prior.appearance.lobes(prior.z_l.mean[None]))
+        self.axis = nn.Parameter(axis.clone())
+        self.log_sharpness = nn.Parameter(sharpness.log())
+        self.log_amplitude = nn.Parameter(amplitude.clamp_min(1e-4).log())
+        self.start = self.log_sharpness.detach().clone()
+
+    def parameters(self) -> list[nn.Parameter]:
+        """What an optimiser moves."""
+        return [self.axis, self.log_sharpness, self.log_amplitude]
+
+    def lobes(self) -> tuple[Float[Tensor, "M 3"], Float[Tensor, " M"], Float[Tensor, "M 3"]]:
+        """Axis, sharpness in (0.02, 3000) and amplitude in (6e-6, 22000)."""
+        axis = nn.functional.normalize(self.axis, dim=-1)
+        return axis, self.log_sharpness.clamp(-4.0, 8.0).exp(), self.log_amplitude.clamp(-12.0, 10.0).exp()
+
+    def energy(self) -> Float[Tensor, ""]:
+        """How far the sharpnesses went from the prior's mean light, and how coloured the lobes are."""
+        chroma = self.log_amplitude - self.log_amplitude.mean(-1, keepdim=True)
+        return (self.log_sharpness - self.start).square().sum() + 4.0 * chroma.square().sum()
+
+    @torch.no_grad()
+    def scale(self, gain: float) -> None:
+        """Multiply the radiance."""
+        self.log_amplitude += float(torch.log(torch.tensor(gain).clamp(1e-4, 1e4)))
