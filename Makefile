@@ -22,18 +22,24 @@ lint: $(VENV)/.installed-dev
 
 # torch goes first, and alone: pinned exactly, it is taken as the CPU build where one is offered.
 $(VENV)/.torch: constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-		{ echo "sira_assets needs Python 3.11 or newer: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' || \
+		{ echo "sira_assets needs Python 3.11 or 3.12: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) torch==2.13.0
 	touch $@
 
+# Open3D and pymeshlab are the two that lean on system libraries; say so here rather than after a fit.
+CHECK = $(VENV)/bin/python -W ignore -c 'import open3d, pymeshlab' || \
+	{ echo "open3d and pymeshlab need libGL, libX11, libgomp and libudev (Debian: apt-get install libgl1 libx11-6 libgomp1 libudev1)"; exit 1; }
+
 $(VENV)/.installed: $(VENV)/.torch pyproject.toml constraints.txt
 	$(PIP) --editable .
+	@$(CHECK)
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.torch pyproject.toml constraints.txt
 	$(PIP) --editable ".[dev]"
+	@$(CHECK)
 	touch $@ $(VENV)/.installed
 
 clean:

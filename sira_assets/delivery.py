@@ -36,20 +36,33 @@ FILES = (
 )
 
 
-def check_target(folder: Path, *, overwrite: bool, resume: bool) -> None:
+def check_target(folder: Path, *, overwrite: bool) -> None:
     """Refuse to write over somebody's work.
 
     Raises
     ------
-    InputError : the folder holds something and neither `overwrite` nor `resume` was said.
+    InputError : the folder holds something and `overwrite` was not said, or it holds something else than an avatar; or
+        nothing can be written beside it.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(expected=f"a folder at {folder}", received="a file", remedy="choose another --out")
-    if folder.exists() and any(folder.iterdir()) and not (overwrite or resume):
+    held = folder.exists() and any(folder.iterdir())
+    if held and not overwrite:
         raise InputError(
             expected=f"an empty or new folder at {folder}",
             received="one that holds files",
-            remedy="choose another --out, or say --overwrite or --resume",
+            remedy="choose another --out, or say --overwrite",
+        )
+    if held and not (folder / "report.json").is_file():
+        raise InputError(
+            expected=f"an avatar to overwrite at {folder}",
+            received="a folder of other files",
+            remedy="choose another --out",
+        )
+    parent = next(p for p in folder.resolve().parents if p.exists())
+    if not os.access(parent, os.W_OK):
+        raise InputError(
+            expected=f"a folder to write in at {parent}", received="a read-only one", remedy="choose another --out"
         )
 
 
@@ -75,7 +88,7 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
 
 
 def _replace_folder(fresh: Path, folder: Path) -> None:
-    """Move a whole folder to its name; what was there goes only after the new one is in place."""
+    """Move a whole folder to its name; what was there is deleted last, and put back if the move fails."""
     umask = os.umask(0)
     os.umask(umask)
     fresh.chmod(0o777 & ~umask)
@@ -84,7 +97,11 @@ def _replace_folder(fresh: Path, folder: Path) -> None:
         return
     old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
     os.replace(folder, old / "was")
-    os.replace(fresh, folder)
+    try:
+        os.replace(fresh, folder)
+    except BaseException:
+        os.replace(old / "was", folder)
+        raise
     shutil.rmtree(old, ignore_errors=True)
 
 
@@ -151,7 +168,7 @@ def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray
         title=portrait.name,
         subtitle=f"{settings.quality} quality",
         photo=Picture("photo", "the input", pictures["input"]),
-        render=Picture("render", "the avatar, same camera, found light", pictures["final"]),
+        render=Picture("render", "the fitted field, same camera, found light", pictures["final"]),
         maps=maps,
         curves=tuple(curves),
         metrics=metrics,

@@ -64,7 +64,7 @@ def settings_for(quality: str, *, texture_size: int | None = None, max_triangles
     """
     g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(seed=seed)
     if quality == "draft":
-        g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=0, rays=600, band_rays=250)
+        g = replace(g, steps_appearance=50, steps_codes=100, steps_shading=0, steps_networks=0, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
         size, triangles, cell, samples = 512, 15000, 0.003, 1
     elif quality == "standard":
@@ -121,13 +121,17 @@ def run(
     prior = prior.to(device)
     key = fit_key(portrait, prior, repr((settings.geometry, settings.appearance)))
     geometry = kept_geometry(work, key, device=device) if work else None
-    if geometry is None:
+    if geometry is not None:
+        seconds.append(("fit geometry", geometry.seconds))
+    else:
         geometry = stage("fit geometry", fit_geometry, portrait, prior, settings.geometry, device=device)
         if work:
             keep_geometry(geometry, work, key)
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
-    appearance = kept_appearance(work, key) if work else None
-    if appearance is None:
+    appearance = kept_appearance(work, key, device=device) if work else None
+    if appearance is not None:
+        seconds.append(("fit appearance", appearance.seconds))
+    else:
         appearance = stage("fit appearance", fit_appearance, posed, geometry, prior, settings.appearance)
         if work:
             keep_appearance(appearance, work, key)
@@ -137,7 +141,7 @@ def run(
     mesh = stage("simplify", simplify_mesh, surface, settings.max_triangles)
     atlas = stage("unwrap", unwrap, mesh, settings.unwrap)
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)
-    textures = stage("bake", bake, head, mesh, atlas, light, world_from_canonical, settings.bake)
+    textures = stage("bake", bake, head, mesh, atlas, light, world_from_canonical, settings.bake, device=device)
     avatar = Avatar(
         mesh.transformed(world_from_canonical),
         atlas,
@@ -148,5 +152,7 @@ def run(
         portrait.metres_per_unit,
         portrait.name,
     )
-    view = stage("render", render_view, head, surface, portrait.camera, geometry.canonical_from_world, light)
+    view = stage(
+        "render", render_view, head, surface, portrait.camera, geometry.canonical_from_world, light, device=device
+    )
     return Journey(posed, geometry, appearance, surface, avatar, view, tuple(seconds))

@@ -9,7 +9,20 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 # In the order of the journey; a room imports only itself and rooms to its left. `errors` and `atomic` belong to all.
-ROOMS = ("numerics", "scene", "fields", "mesh", "render", "train", "fit", "texture", "asset", "measure", "pipeline", "delivery")
+ROOMS = (
+    "numerics",
+    "scene",
+    "fields",
+    "mesh",
+    "render",
+    "train",
+    "fit",
+    "texture",
+    "asset",
+    "measure",
+    "pipeline",
+    "delivery",
+)
 GROUND = {"errors", "atomic"}
 # The generator judges the closed-form renderer, so it may not use it, nor anything that does.
 SYNTH_MAY_USE = {"numerics", "scene", "mesh"} | GROUND

@@ -10,6 +10,22 @@ import sys
 from collections.abc import Callable
 
 
+def device(name: str) -> str:
+    """ "cpu" or "cuda" for auto, cpu or cuda.
+
+    Raises
+    ------
+    InputError : "cuda" where torch finds none.
+    """
+    import torch
+
+    from sira_assets.errors import InputError
+
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError(expected="a CUDA device", received="none that torch finds", remedy="say --device cpu or auto")
+    return name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+
+
 def run(body: Callable[[], int | None]) -> int:
     """Run a tool's body and give its exit status.
 

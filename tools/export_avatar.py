@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--texture-size", type=int, help="texels a side, 64 to 8192")
     p.add_argument("--max-triangles", type=int, help="at least 100")
     p.add_argument("--prior", type=Path, help="trained models (default: the ones that ship with the package)")
-    p.add_argument("--resume", action="store_true", help="go on from the last finished stage of a stopped run")
+    p.add_argument("--resume", action="store_true", help="go on from the last finished fit of a stopped run")
     p.add_argument("--overwrite", action="store_true", help="replace what --out holds")
     p.add_argument("--json", action="store_true", help="print report.json")
     p.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -40,7 +40,6 @@ def parser() -> argparse.ArgumentParser:
 
 def body(args: argparse.Namespace) -> int:
     """Read, fit, export."""
-    import contextlib
     import json
     import shutil
 
@@ -53,7 +52,7 @@ def body(args: argparse.Namespace) -> int:
     else:
         portrait = read_scene(args.scene, **options)
 
-    import torch
+    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from sira_assets.delivery import check_target, deliver
@@ -61,19 +60,20 @@ def body(args: argparse.Namespace) -> int:
     from sira_assets.measure.report import report_dict
     from sira_assets.pipeline import run, settings_for
 
-    device = args.device if args.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    device = _cli.device(args.device)
     settings = settings_for(
         args.quality, texture_size=args.texture_size, max_triangles=args.max_triangles, seed=args.seed
     )
-    check_target(args.out, overwrite=args.overwrite, resume=args.resume)
+    check_target(args.out, overwrite=args.overwrite)
     prior = load_prior(args.prior)
+    args.out = args.out.resolve()
     work = args.out.parent / f".{args.out.name}-work"
     if not args.resume:
         shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description:16}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     tasks: dict[str, object] = {}
-    with Progress(*columns, disable=args.quiet or args.json) if sys.stderr else contextlib.nullcontext() as progress:
+    with Progress(*columns, console=Console(stderr=True), disable=args.quiet or args.json) as progress:
 
         def report(stage: str, done: int, steps: int) -> None:
             if stage not in tasks:

@@ -16,7 +16,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     out = argparse.ArgumentParser(prog="make_scenes.py", description=__doc__.split("\n\n")[0])
     out.add_argument("--count", type=int, required=True, metavar="N", help="scenes to have, from --start on")
-    out.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of scenes; made if absent")
+    out.add_argument("--out", type=Path, default=Path("scenes"), metavar="DIR", help="folder of scenes; made if absent")
     out.add_argument("--start", type=int, default=0, metavar="INDEX", help="index of the first scene (default 0)")
     out.add_argument("--kind", choices=("train", "eval"), default="train", help="eval heads are never train heads")
     out.add_argument("--seed", type=int, default=0, help="default 0")

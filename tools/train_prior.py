@@ -38,7 +38,7 @@ def body(args: argparse.Namespace) -> int:
     import contextlib
     from dataclasses import replace
 
-    import torch
+    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from sira_assets.train.prior import PriorConfig, train_prior
@@ -48,9 +48,9 @@ def body(args: argparse.Namespace) -> int:
     appearance = replace(base.appearance, seed=args.seed, steps=args.appearance_steps or base.appearance.steps)
     if args.supervision is not None:
         appearance = replace(appearance, supervision=args.supervision)
-    device = args.device if args.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    device = _cli.device(args.device)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with contextlib.nullcontext() if args.quiet else Progress(*columns) as progress:
+    with contextlib.nullcontext() if args.quiet else Progress(*columns, console=Console(stderr=True)) as progress:
         train_prior(
             args.scenes,
             args.out,

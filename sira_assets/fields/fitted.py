@@ -121,7 +121,7 @@ def save_fitted(head: FittedHead, path: Path, header: dict | None = None) -> Non
         save_file({k: v.detach().cpu().float().contiguous().clone() for k, v in tensors.items()}, temporary, metadata)
 
 
-def load_fitted(path: Path) -> FittedHead:
+def load_fitted(path: Path, *, device: str | torch.device = "cpu") -> FittedHead:
     """Read a fitted head.
 
     Raises
@@ -149,6 +149,6 @@ def load_fitted(path: Path) -> FittedHead:
         ) from None
     for name, module in modules.items():
         module.load_state_dict({k.split("/", 1)[1]: v for k, v in tensors.items() if k.startswith(f"{name}/")})
-        freeze(module)
-    codes = (tensors[name] for name in ("z_sdf", "z_a", "z_s"))
+        freeze(module.to(device))
+    codes = (tensors[name].to(device) for name in ("z_sdf", "z_a", "z_s"))
     return FittedHead(shape, appearance, *codes, modules.get("refinement"), json.loads(metadata["specular_scale"]))

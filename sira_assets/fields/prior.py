@@ -4,6 +4,7 @@ Notation: a code z of size Z is drawn as z = mean + basis c with c ~ N(0, I_K): 
 codes scaled by their standard deviations, so that |c|^2 is a squared Mahalanobis distance.
 """
 
+import copy
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -60,7 +61,9 @@ class Prior:
         """The prior on another device."""
         move = lambda s: CodeStatistics(s.mean.to(device), s.basis.to(device))  # noqa: E731
         return Prior(
-            self.shape.to(device), self.appearance.to(device), *(move(getattr(self, name)) for name in CODE_NAMES)
+            copy.deepcopy(self.shape).to(device),
+            copy.deepcopy(self.appearance).to(device),
+            *(move(getattr(self, name)) for name in CODE_NAMES),
         )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from sira_assets.errors import InputError
 from sira_assets.fields.fitted import AlbedoRefinement, FittedHead, RefinementConfig
 from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
@@ -26,11 +27,11 @@ from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.light import FreeLight
 from sira_assets.fit.pixels import PixelRays, mask_rays
 from sira_assets.numerics.sg import irradiance
+from sira_assets.numerics.srgb import srgb_decode, srgb_encode
 from sira_assets.render.shading import ROUGHNESS, Shading, shade
 from sira_assets.render.tracing import sphere_trace
 from sira_assets.scene.portrait import Portrait
 from sira_assets.scene.sg_light import SGLight
-from sira_assets.train.batches import srgb_decode, srgb_encode
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class AppearanceFitConfig:
     steps_light: int = 150
     steps_albedo: int = 200
     steps_specular: int = 150
-    steps_refinement: int = 400
+    steps_refinement: int = 800
     pixels: int = 3000
     max_surface: int = 60000
     rate_codes: float = 0.05
@@ -50,7 +51,7 @@ class AppearanceFitConfig:
     light_prior: float = 3.0e-5
     shadow: float = 1.0
     highlight: float = 2.0
-    regularity: float = 0.1
+    regularity: float = 0.05
     unseen: float = 0.5
     refinement: RefinementConfig = RefinementConfig()
     seed: int = 0
@@ -84,10 +85,19 @@ class AppearanceFit:
     seconds: float
 
 
-def visible_surface(portrait: Portrait, geometry: GeometryFit, *, chunk: int = 16384) -> SurfacePoints:
-    """Trace every pixel of the mask against the fitted surface; pixels that miss are left out."""
+def visible_surface(
+    portrait: Portrait,
+    geometry: GeometryFit,
+    *,
+    at_most: int | None = None,
+    generator: torch.Generator | None = None,
+    chunk: int = 16384,
+) -> SurfacePoints:
+    """Trace the mask's pixels (a random `at_most` of them) against the fitted surface; those that miss are left out."""
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
     rays = mask_rays(posed, device=geometry.z_sdf.device)
+    if at_most is not None and len(rays) > at_most:
+        rays = rays.select(torch.randperm(len(rays), generator=generator, device=rays.origins.device)[:at_most])
     low, high = (rays.origins.new_tensor(b / UNIT_M) for b in BOUNDS_M)
     with torch.no_grad():
         hits = sphere_trace(lambda x: geometry.shape(x, geometry.z_sdf)[0], rays.origins, rays.directions, low, high)
@@ -115,8 +125,14 @@ def fit_appearance(
     c = config
     device = geometry.z_sdf.device
     generator = torch.Generator(device).manual_seed(c.seed + 1)
-    surface = visible_surface(portrait, geometry)
+    surface = visible_surface(portrait, geometry, at_most=2 * c.max_surface, generator=generator)
     surface = surface.rows(torch.nonzero(surface.rays.usable)[:, 0])
+    if len(surface.x) < 100:
+        raise InputError(
+            expected="the fitted head, unclipped, behind the mask",
+            received=f"{len(surface.x)} usable pixels of {int(portrait.mask.sum())}",
+            remedy="check mask, exposure, landmarks and canonical_from_world",
+        )
     if len(surface.x) > c.max_surface:
         surface = surface.rows(torch.randperm(len(surface.x), generator=generator, device=device)[: c.max_surface])
     light = FreeLight(prior)
@@ -194,7 +210,7 @@ def fit_appearance(
             k_s,
         )
         lobes, lobe_decision = _needed_lobes(*light.lobes(), surface)
-        specular_decision = _specular_evidence(head, surface, lobes)
+        head, specular_decision = _needed_specular(head, surface, lobes)
         axis, sharpness, amplitude = (t.double().cpu().numpy() for t in lobes)
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)[:3, :3]
     world_from_canonical = world_from_canonical / np.cbrt(np.linalg.det(world_from_canonical))
@@ -228,8 +244,12 @@ def _needed_lobes(axis: Tensor, sharpness: Tensor, amplitude: Tensor, surface: S
     return (axis[keep], sharpness[keep], amplitude[keep]), FitDecision("light lobes", chosen, evidence)
 
 
-def _specular_evidence(head: FittedHead, surface: SurfacePoints, lobes) -> FitDecision:
-    """How much the highlights explain: the mean error with and without them."""
+# Highlights that lower the mean error by less than this (sRGB-encoded, 0 to 1; a tenth of an 8-bit step) are left out.
+LEAST_SPECULAR_GAIN = 4.0e-4
+
+
+def _needed_specular(head: FittedHead, surface: SurfacePoints, lobes) -> tuple[FittedHead, FitDecision]:
+    """The head with or without highlights, by the mean error with them and with them taken away."""
     every = slice(None, None, max(1, len(surface.x) // 8000))
     albedo, f0 = head.reference_material(surface.x_ref[every], surface.gamma[every])
     shading = shade(surface.normals[every], surface.view[every], albedo, f0, *lobes)
@@ -237,7 +257,9 @@ def _specular_evidence(head: FittedHead, surface: SurfacePoints, lobes) -> FitDe
     without = float((srgb_encode(shading.diffuse_radiance) - rgb).abs().mean())
     with_it = float((srgb_encode(shading.radiance) - rgb).abs().mean())
     evidence = f"mean error {with_it:.4f} with highlights, {without:.4f} with them taken away (sRGB-encoded, 0 to 1)"
-    return FitDecision("specular", f"k_s = {head.specular_scale:.2g}", evidence)
+    if without - with_it < LEAST_SPECULAR_GAIN:
+        head = replace(head, specular_scale=0.0)
+    return head, FitDecision("specular", f"k_s = {head.specular_scale:.2g}", evidence)
 
 
 @torch.no_grad()
@@ -254,8 +276,7 @@ def _match_exposure(light: FreeLight, surface: SurfacePoints, model, prior) -> N
 def _hidden_surface(geometry: GeometryFit, surface: SurfacePoints, generator, count: int = 4096):
     """x_ref and gamma of surface points that the camera does not see: there the refinement is to be nothing.
 
-    Seen points, mirrored through the head and brought back to the surface by Newton steps, and kept where they end up
-    on the far side or in shadow of the camera.
+    Random points of the head's box, brought to the surface by Newton steps and kept where it faces away.
     """
     low, high = (surface.x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
     x = low + (high - low) * torch.rand(4 * count, 3, generator=generator, device=surface.x.device)

@@ -21,10 +21,13 @@ from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
 from sira_assets.fit.light import FreeLight
 from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, silhouette_band
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.numerics.srgb import srgb_decode, srgb_encode
 from sira_assets.render.shading import shade
 from sira_assets.render.tracing import TraceConfig, differentiable_hit, sphere_trace
 from sira_assets.scene.portrait import Portrait
-from sira_assets.train.batches import srgb_decode, srgb_encode
+
+# torch.multinomial takes at most 2^24 weights; a photo larger than this is drawn from at random first.
+MOST_PIXELS = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class GeometryFitConfig:
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
     reach: float = 0.1
-    prior: float = 3.0e-5
+    prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     shading: float = 1.0
     albedo_prior: float = 1.0e-4
@@ -144,6 +147,8 @@ def fit_geometry(
     model = copy.deepcopy(prior.shape)
     freeze(model)
     pool = mask_rays(portrait, device=device)
+    if len(pool) > MOST_PIXELS:
+        pool = pool.select(torch.randperm(len(pool), generator=generator, device=device)[:MOST_PIXELS])
     chosen = torch.multinomial(face_weight(pool), min(c.pool, len(pool)), generator=generator)
     inside = _KeptRays(pool.select(chosen), torch.ones(len(chosen), device=device))
     band = pixel_rays(portrait, *silhouette_band(portrait), device=device)
@@ -156,6 +161,7 @@ def fit_geometry(
     codes = lambda: (prior.z_sdf.code(coefficients), prior.z_r.code(appearance))  # noqa: E731
     shading = _Shading(prior, c)
     fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator, shading)
+    fit.refine_pose = portrait.pose_is_estimated
     total = c.steps_appearance + c.steps_codes + c.steps_shading + c.steps_networks
     history: list[tuple[int, dict[str, float]]] = []
 
@@ -199,11 +205,11 @@ def fit_geometry(
         start += c.steps_shading
     if c.steps_networks:
         fit.open_networks()
-        extra = shading.groups() if c.steps_shading else [{"params": [appearance], "lr": 0.1 * c.rate_appearance_codes}]
         groups = [
             *shape_groups(0.1 * c.rate_codes),
-            *extra,
+            {"params": [appearance], "lr": 0.1 * c.rate_appearance_codes},
             {"params": fit.network_parameters(), "lr": c.rate_networks},
+            *(shading.groups() if c.steps_shading else []),
         ]
         run(c.steps_networks, torch.optim.Adam(groups), start, geometry=True, shaded=c.steps_shading > 0)
     freeze(model)
@@ -261,6 +267,7 @@ class _Fit:
         self.coefficients, self.appearance = coefficients, appearance
         self.inside, self.edge, self.generator = inside, edge, generator
         self.before = None
+        self.refine_pose = False
 
     def network_parameters(self):
         return [*self.model.deformation.parameters(), *self.model.renderer.parameters()]
@@ -301,21 +308,22 @@ class _Fit:
         with torch.no_grad():
             self.inside.t[chosen] += ((x - x0) * directions).sum(-1).clamp(-c.lost, c.lost)
         delta, gamma = self.model.deform(x, z_sdf)
-        if shaded:
-            colour = self.shading.colour(x + delta, gamma, normals, -directions.detach(), rays.rgb)
-        else:
-            colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
-            "colour": (c.shading if shaded else c.colour)
-            * ((colour - rays.rgb).abs().mean(-1) * on).sum()
-            / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self.silhouette(z_sdf),
             "prior": c.prior * self.coefficients.square().sum(),
-            "appearance_prior": self.shading.energy()
-            if shaded
-            else c.appearance_prior * self.appearance.square().sum(),
         }
-        if self.pose.rotation.requires_grad:
+
+        def error(colour):
+            return ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0)
+
+        if shaded:
+            colour = self.shading.colour(x + delta, gamma, normals, -directions.detach(), rays.rgb)
+            losses["shading"] = c.shading * error(colour)
+            losses["light_prior"] = self.shading.energy()
+        if not shaded or self.before is not None:
+            losses["colour"] = c.colour * error(self.model.render(x + delta, normals, -directions, gamma, z_r))
+            losses["appearance_prior"] = c.appearance_prior * self.appearance.square().sum()
+        if self.refine_pose:
             sigma = self.appearance.new_tensor(POSE_SIGMA)
             scaled = torch.cat([self.pose.rotation, self.pose.translation]) / sigma
             losses["pose"] = c.pose * scaled.square().sum()

@@ -90,7 +90,7 @@ def keep_appearance(fit: AppearanceFit, folder: Path, key: str) -> None:
     save_fitted(fit.head, folder / "appearance.safetensors", facts)
 
 
-def kept_appearance(folder: Path, key: str) -> AppearanceFit | None:
+def kept_appearance(folder: Path, key: str, *, device: str | torch.device = "cpu") -> AppearanceFit | None:
     """The appearance fit kept under this key, or None."""
     path = folder / "appearance.safetensors"
     try:
@@ -98,7 +98,7 @@ def kept_appearance(folder: Path, key: str) -> AppearanceFit | None:
             facts = json.loads(file.metadata()["header"])
         if facts.get("key") != key:
             return None
-        head = load_fitted(path)
+        head = load_fitted(path, device=device)
     except (OSError, SafetensorError, KeyError, ValueError, InputError):
         return None
     history = tuple((step, losses) for step, losses in facts["history"])

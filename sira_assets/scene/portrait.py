@@ -91,7 +91,8 @@ def check_head_before_camera(camera: Camera, canonical_from_world: np.ndarray) -
         camera.intrinsics, camera.world_from_camera @ np.diag([1.0, -1.0, -1.0, 1.0]), camera.width, camera.height
     )
     u_flipped, depth_flipped = flipped.project(x_world)
-    fits = (depth_flipped > 0).all() and ((u_flipped >= 0).all(1) & (u_flipped[:, 0] <= camera.width)).mean() >= 0.5
+    inside_flipped = (u_flipped >= 0).all(1) & (u_flipped <= [camera.width, camera.height]).all(1)
+    fits = (depth_flipped > 0).all() and inside_flipped.mean() >= 0.5
     where = "behind the camera" if (depth <= 0).any() else "outside the picture"
     raise InputError(
         expected="the head in front of the camera and inside the picture",

@@ -14,8 +14,9 @@ from torch import Tensor, nn
 
 from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
+from sira_assets.numerics.srgb import srgb_encode
 from sira_assets.render.shading import shade
-from sira_assets.train.batches import SampleTensors, draw, srgb_encode, step_generator
+from sira_assets.train.batches import SampleTensors, draw, step_generator
 from sira_assets.train.checkpoint import load_checkpoint, save_checkpoint
 from sira_assets.train.shape import ShapeCodes, learning_rate
 
@@ -94,6 +95,8 @@ def appearance_losses(
     }
     if c.supervision > 0:
         known = torch.isfinite(specular)
+        if not known.any():
+            return losses
         losses["supervision"] = (srgb_encode(albedo[known]) - srgb_encode(diffuse[known])).abs().mean() + (
             f0[known] - specular[known]
         ).abs().mean() / 0.04

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from sira_assets.train.scenes import SceneSamples
@@ -58,14 +58,3 @@ def draw(
     index = torch.randint(columns[0].shape[1], (len(scenes), count), generator=generator, device=generator.device)
     rows = scenes[:, None].expand_as(index)
     return tuple(column[rows, index].flatten(0, 1) for column in columns)
-
-
-def srgb_encode(linear: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
-    """IEC 61966-2-1 encoding of [0, 1], differentiable on the closed interval (clipped outside)."""
-    x = linear.clamp(0.0, 1.0)
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055)
-
-
-def srgb_decode(encoded: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
-    """The inverse of `srgb_encode` on [0, 1]."""
-    return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

@@ -110,7 +110,7 @@ def train_prior(
         report=log.reporter("appearance", config.appearance.steps),
     )
     tables = (codes.z_sdf, codes.z_r, appearance_codes.z_a, appearance_codes.z_s, appearance_codes.z_l)
-    prior = Prior(shape, appearance, *(CodeStatistics.of(table.detach().cpu()) for table in tables))
+    prior = Prior(shape.cpu(), appearance.cpu(), *(CodeStatistics.of(table.detach().cpu()) for table in tables))
     description = {
         "scenes": len(names),
         "scenes_sha256": hashlib.sha256("\n".join(names).encode()).hexdigest(),

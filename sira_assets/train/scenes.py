@@ -176,8 +176,7 @@ def load_samples(
     list of SceneSamples, in the order of `list_scenes`.
     """
     scenes = list_scenes(folder)
-    key = hashlib.sha256(json.dumps([asdict(config), seed]).encode()).hexdigest()[:12]
-    paths = [Path(folder) / ".samples" / f"{scene.name}-{key}.npz" for scene in scenes]
+    paths = [Path(folder) / ".samples" / f"{scene.name}-{_sample_key(scene, config, seed)}.npz" for scene in scenes]
     missing = [(scene, path, config, seed) for scene, path in zip(scenes, paths, strict=True) if not path.exists()]
     if missing:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
@@ -185,6 +184,13 @@ def load_samples(
                 if progress is not None:
                     progress()
     return [_read_samples(path) for path in paths]
+
+
+def _sample_key(scene: Path, config: SampleConfig, seed: int) -> str:
+    """Changes with the configuration and whenever the scene is written anew."""
+    files = [scene / "transforms.json", scene / "gt" / "mesh.ply"]
+    written = [(path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.exists()]
+    return hashlib.sha256(json.dumps([asdict(config), seed, written]).encode()).hexdigest()[:12]
 
 
 def _sample_to_file(job):

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig, sdf_and_gradient
-from sira_assets.train.batches import SampleTensors, draw, srgb_encode, step_generator
+from sira_assets.numerics.srgb import srgb_encode
+from sira_assets.train.batches import SampleTensors, draw, step_generator
 from sira_assets.train.checkpoint import load_checkpoint, save_checkpoint
 
 
