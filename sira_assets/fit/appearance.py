@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from sira_assets.errors import InputError
 from sira_assets.fields.fitted import AlbedoRefinement, FittedHead, RefinementConfig
 from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
@@ -25,7 +24,7 @@ from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.light import FreeLight
-from sira_assets.fit.pixels import PixelRays, mask_rays
+from sira_assets.fit.pixels import PixelRays, mask_rays, require_pixels
 from sira_assets.numerics.sg import irradiance
 from sira_assets.numerics.srgb import srgb_decode, srgb_encode
 from sira_assets.render.shading import ROUGHNESS, Shading, shade
@@ -127,12 +126,7 @@ def fit_appearance(
     generator = torch.Generator(device).manual_seed(c.seed + 1)
     surface = visible_surface(portrait, geometry, at_most=2 * c.max_surface, generator=generator)
     surface = surface.rows(torch.nonzero(surface.rays.usable)[:, 0])
-    if len(surface.x) < 100:
-        raise InputError(
-            expected="the fitted head, unclipped, behind the mask",
-            received=f"{len(surface.x)} usable pixels of {int(portrait.mask.sum())}",
-            remedy="check mask, exposure, landmarks and canonical_from_world",
-        )
+    require_pixels(len(surface.x), int(portrait.mask.sum()))
     if len(surface.x) > c.max_surface:
         surface = surface.rows(torch.randperm(len(surface.x), generator=generator, device=device)[: c.max_surface])
     light = FreeLight(prior)
@@ -193,7 +187,7 @@ def fit_appearance(
             if bool(torch.isfinite(loss)):
                 loss.backward()
                 optimiser.step()
-            schedule.step()
+                schedule.step()
             if done % 10 == 0:
                 history.append((done, {key: float(value.detach()) for key, value in losses.items()}))
             done += 1

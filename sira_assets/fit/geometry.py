@@ -19,7 +19,7 @@ from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
 from sira_assets.fit.light import FreeLight
-from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, silhouette_band
+from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
 from sira_assets.numerics.srgb import srgb_decode, srgb_encode
 from sira_assets.render.shading import shade
@@ -147,6 +147,7 @@ def fit_geometry(
     model = copy.deepcopy(prior.shape)
     freeze(model)
     pool = mask_rays(portrait, device=device)
+    require_pixels(int(pool.usable.sum()), len(pool))
     if len(pool) > MOST_PIXELS:
         pool = pool.select(torch.randperm(len(pool), generator=generator, device=device)[:MOST_PIXELS])
     chosen = torch.multinomial(face_weight(pool), min(c.pool, len(pool)), generator=generator)
@@ -180,7 +181,7 @@ def fit_geometry(
             if bool(torch.isfinite(loss)):
                 loss.backward()
                 optimiser.step()
-            schedule.step()
+                schedule.step()
             if (start + step) % 10 == 0:
                 history.append((start + step, {name: float(value.detach()) for name, value in losses.items()}))
             report(start + step + 1, total)

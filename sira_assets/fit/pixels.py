@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sira_assets.errors import InputError
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.numerics.colour import srgb_from_linear
 from sira_assets.scene.canonical import transform_points
@@ -64,6 +65,21 @@ def pixel_rays(portrait: Portrait, rows: np.ndarray, columns: np.ndarray, *, dev
 def mask_rays(portrait: Portrait, *, device="cpu") -> PixelRays:
     """All pixels of the mask, row by row."""
     return pixel_rays(portrait, *np.nonzero(portrait.mask), device=device)
+
+
+def require_pixels(usable: int, in_all: int) -> None:
+    """Refuse a portrait of which nothing can be learnt.
+
+    Raises
+    ------
+    InputError : fewer than a hundred pixels of the mask show the head unclipped.
+    """
+    if usable < 100:
+        raise InputError(
+            expected="a hundred usable pixels: of the mask, on the head, not clipped",
+            received=f"{usable} usable pixels of {in_all}",
+            remedy="check mask, exposure, landmarks and canonical_from_world",
+        )
 
 
 def pixels_per_metre(portrait: Portrait) -> float:

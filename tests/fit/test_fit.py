@@ -1,0 +1,151 @@
+"""The two fits on a prior that is a ball, the fits kept on disk, and the whole journey in small."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_portrait import portrait
+
+from sira_assets import delivery, pipeline
+from sira_assets.errors import InputError
+from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
+from sira_assets.fields.fitted import RefinementConfig
+from sira_assets.fields.prior import CodeStatistics, Prior, freeze
+from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
+from sira_assets.fit.appearance import AppearanceFitConfig
+from sira_assets.fit.geometry import GeometryFitConfig, fit_geometry
+from sira_assets.mesh.extract import ExtractConfig
+from sira_assets.texture.bake import BakeConfig
+from sira_assets.texture.unwrap import UnwrapConfig
+
+SHAPE = ShapeConfig(code_size=4, appearance_code_size=4, feature_size=2, deformation_width=16, reference_width=16)
+APPEARANCE = AppearanceConfig(albedo_code_size=3, specular_code_size=2, light_code_size=3, lobes=4, albedo_width=16)
+GEOMETRY = GeometryFitConfig(
+    steps_appearance=4, steps_codes=6, steps_shading=4, steps_networks=4, pool=300, band_pool=100, rays=60, band_rays=40
+)
+APPEARANCE_FIT = AppearanceFitConfig(
+    steps_light=4,
+    steps_albedo=4,
+    steps_specular=4,
+    steps_refinement=4,
+    pixels=200,
+    refinement=RefinementConfig(width=16, waves=8),
+)
+SETTINGS = pipeline.Settings(
+    "tiny",
+    GEOMETRY,
+    APPEARANCE_FIT,
+    ExtractConfig(cell_m=0.01),
+    max_triangles=800,
+    unwrap=UnwrapConfig(texture_size=64, methods=()),
+    bake=BakeConfig(size=64, samples=1),
+)
+
+
+def ball_prior() -> Prior:
+    """Networks that have learnt nothing: the reference is a ball of ten centimetres."""
+    torch.manual_seed(3)
+    shape, appearance = ShapeAppearanceModel(SHAPE), AppearanceFactorModel(APPEARANCE, feature_size=2)
+    torch.nn.init.normal_(shape.reference.out.weight, std=1e-3)
+    statistics = [CodeStatistics.of(0.1 * torch.randn(12, size)) for size in (4, 4, 3, 2, 3)]
+    return Prior(freeze(shape), freeze(appearance), *statistics)
+
+
+def test_the_reference_is_never_changed_and_a_given_pose_is_kept():
+    prior, p = ball_prior(), portrait()
+    fit = fit_geometry(p, prior, GEOMETRY)
+    for a, b in zip(prior.shape.reference.parameters(), fit.shape.reference.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+    changed = [
+        not torch.equal(a, b)
+        for name in ("deformation", "renderer")
+        for a, b in zip(getattr(prior.shape, name).parameters(), getattr(fit.shape, name).parameters(), strict=True)
+    ]
+    assert any(changed)  # phase B
+    np.testing.assert_array_equal(fit.canonical_from_world, p.canonical_from_world)
+    assert fit.pose_change_deg == 0.0
+    assert all(np.isfinite(list(losses.values())).all() for _, losses in fit.history)
+
+
+def test_an_estimated_pose_is_refined():
+    fit = fit_geometry(replace(portrait(), pose_is_estimated=True), ball_prior(), GEOMETRY)
+    assert 0.0 < fit.pose_change_deg < 30.0
+
+
+def test_the_same_seed_gives_the_same_fit():
+    a, b = (fit_geometry(portrait(), ball_prior(), GEOMETRY) for _ in range(2))
+    torch.testing.assert_close(a.z_sdf, b.z_sdf, rtol=0, atol=0)
+
+
+def test_a_saturated_photo_is_refused_in_words():
+    p = portrait()
+    with pytest.raises(InputError, match="usable pixels"):
+        pipeline.run(replace(p, saturated=np.ones_like(p.mask)), SETTINGS, prior=ball_prior())
+
+
+@pytest.fixture(scope="module")
+def journey(tmp_path_factory):
+    work = tmp_path_factory.mktemp("work")
+    return pipeline.run(portrait(), SETTINGS, prior=ball_prior(), work=work), work
+
+
+def test_a_resumed_run_finds_its_fits_and_makes_the_same(journey, monkeypatch):
+    first, work = journey
+
+    def no_fit(*arguments, **options):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(pipeline, "fit_geometry", no_fit)
+    monkeypatch.setattr(pipeline, "fit_appearance", no_fit)
+    again = pipeline.run(portrait(), SETTINGS, prior=ball_prior(), work=work)
+    np.testing.assert_array_equal(first.avatar.mesh.vertices, again.avatar.mesh.vertices)
+    np.testing.assert_array_equal(first.avatar.textures.diffuse, again.avatar.textures.diffuse)
+    np.testing.assert_array_equal(first.avatar.light.amplitude, again.avatar.light.amplitude)
+
+
+def test_other_settings_do_not_find_those_fits(journey, monkeypatch):
+    _, work = journey
+    asked = []
+    monkeypatch.setattr(
+        pipeline,
+        "fit_geometry",
+        lambda *a, **o: asked.append(1) or (_ for _ in ()).throw(InputError(expected="x", received="y", remedy="z")),
+    )
+    with pytest.raises(InputError):
+        pipeline.run(portrait(), replace(SETTINGS, geometry=replace(GEOMETRY, seed=1)), prior=ball_prior(), work=work)
+    assert asked
+
+
+def test_the_avatar_stands_in_the_world_of_the_scene(journey):
+    first, _ = journey
+    p = portrait()
+    u, depth = p.camera.project(first.avatar.mesh.vertices)
+    assert (depth > 0).all()
+    # The ball of 10 cm before the camera: its picture is centred on the canonical origin's.
+    centre, _ = p.camera.project(np.linalg.inv(p.canonical_from_world)[None, :3, 3])
+    assert np.abs(u.mean(0) - centre[0]).max() < 5.0
+
+
+def test_delivery_is_whole_or_leaves_the_old_one(journey, tmp_path, monkeypatch):
+    first, _ = journey
+    out = tmp_path / "avatar"
+    report = delivery.deliver(first, SETTINGS, out)
+    assert report.metrics
+    before = (out / "avatar.glb").read_bytes()
+
+    def full_disk(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(delivery, "write_report_html", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        delivery.deliver(first, SETTINGS, out)
+    assert (out / "avatar.glb").read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["avatar"]
+
+
+def test_a_stranger_s_folder_is_not_overwritten(tmp_path):
+    (tmp_path / "thesis.txt").write_text("years")
+    for overwrite in (False, True):
+        with pytest.raises(InputError):
+            delivery.check_target(tmp_path, overwrite=overwrite)
