@@ -64,7 +64,7 @@ def settings_for(quality: str, *, texture_size: int | None = None, max_triangles
     """
     g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(seed=seed)
     if quality == "draft":
-        g = replace(g, steps_appearance=50, steps_codes=100, steps_shading=0, steps_networks=0, rays=600, band_rays=250)
+        g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
         size, triangles, cell, samples = 512, 15000, 0.003, 1
     elif quality == "standard":

@@ -18,14 +18,13 @@ from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
-from sira_assets.fit.light import FreeLight
 from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
-from sira_assets.numerics.srgb import srgb_decode, srgb_encode
-from sira_assets.render.shading import shade
 from sira_assets.render.tracing import TraceConfig, differentiable_hit, sphere_trace
 from sira_assets.scene.portrait import Portrait
 
+# Over this distance (network units: 1 cm) the change of the deformation should be even.
+SLOPE_REACH = 0.1
 # torch.multinomial takes at most 2^24 weights; a photo larger than this is drawn from at random first.
 MOST_PIXELS = 2_000_000
 
@@ -39,9 +38,8 @@ class GeometryFitConfig:
     """
 
     steps_appearance: int = 80
-    steps_codes: int = 260
-    steps_shading: int = 200
-    steps_networks: int = 160
+    steps_codes: int = 200
+    steps_networks: int = 240
     pool: int = 6000
     band_pool: int = 2500
     rays: int = 1000
@@ -50,9 +48,7 @@ class GeometryFitConfig:
     rate_codes: float = 0.04
     rate_appearance_codes: float = 0.08
     rate_pose: float = 0.004
-    rate_light: float = 0.03
-    rate_albedo_codes: float = 0.03
-    rate_networks: float = 1.0e-4
+    rate_networks: float = 1.5e-4
     colour: float = 1.0
     silhouette: float = 0.5
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
@@ -60,12 +56,10 @@ class GeometryFitConfig:
     reach: float = 0.1
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
-    shading: float = 1.0
-    albedo_prior: float = 1.0e-4
-    light_prior: float = 3.0e-5
     eikonal: float = 0.05
     # Phase B stays near phase A: squared change of the deformation over the surface and around it.
-    anchor: float = 5.0
+    anchor: float = 4.0
+    slope: float = 0.1
     pose: float = 2.0e-3
     # A ray whose kept hit is further than this off the surface waits for the next retrace.
     lost: float = 0.08
@@ -160,10 +154,9 @@ def fit_geometry(
     appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1], device=device))
     pose = PoseCorrection(nn.Parameter(torch.zeros(3, device=device)), nn.Parameter(torch.zeros(3, device=device)))
     codes = lambda: (prior.z_sdf.code(coefficients), prior.z_r.code(appearance))  # noqa: E731
-    shading = _Shading(prior, c)
-    fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator, shading)
+    fit = _Fit(c, model, codes, coefficients, appearance, pose, inside, edge, generator)
     fit.refine_pose = portrait.pose_is_estimated
-    total = c.steps_appearance + c.steps_codes + c.steps_shading + c.steps_networks
+    total = c.steps_appearance + c.steps_codes + c.steps_networks
     history: list[tuple[int, dict[str, float]]] = []
 
     def run(steps, optimiser, start, **options):
@@ -198,21 +191,14 @@ def fit_geometry(
     groups = [*shape_groups(c.rate_codes), {"params": [appearance], "lr": 0.5 * c.rate_appearance_codes}]
     run(c.steps_codes, torch.optim.Adam(groups), start, geometry=True)
     start += c.steps_codes
-    if c.steps_shading:
-        lit = c.steps_shading // 4
-        run(lit, torch.optim.Adam(shading.groups()), start, geometry=True, shaded=True)
-        groups = [*shape_groups(c.rate_codes), *shading.groups()]
-        run(c.steps_shading - lit, torch.optim.Adam(groups), start + lit, geometry=True, shaded=True)
-        start += c.steps_shading
     if c.steps_networks:
         fit.open_networks()
         groups = [
             *shape_groups(0.1 * c.rate_codes),
             {"params": [appearance], "lr": 0.1 * c.rate_appearance_codes},
             {"params": fit.network_parameters(), "lr": c.rate_networks},
-            *(shading.groups() if c.steps_shading else []),
         ]
-        run(c.steps_networks, torch.optim.Adam(groups), start, geometry=True, shaded=c.steps_shading > 0)
+        run(c.steps_networks, torch.optim.Adam(groups), start, geometry=True)
     freeze(model)
     correction = pose.matrix()
     with torch.no_grad():
@@ -229,41 +215,10 @@ def fit_geometry(
     )
 
 
-class _Shading:
-    """AF-SM at the prior's codes and a free light: what normals look like, by physics."""
-
-    def __init__(self, prior, config):
-        self.prior, self.config, self.light = prior, config, FreeLight(prior)
-        self.albedo = nn.Parameter(torch.zeros_like(prior.z_a.basis[0]))
-        self.matched = False
-
-    def groups(self):
-        return [
-            {"params": self.light.parameters(), "lr": self.config.rate_light},
-            {"params": [self.albedo], "lr": self.config.rate_albedo_codes},
-        ]
-
-    def colour(self, x_ref, gamma, normals, view, rgb):
-        model, prior = self.prior.appearance, self.prior
-        albedo = model.diffuse(x_ref, gamma, prior.z_a.code(self.albedo))
-        f0 = model.specular_f0(x_ref, prior.z_s.mean)
-        radiance = shade(normals, view, albedo, f0, *self.light.lobes()).radiance
-        if not self.matched:
-            self.light.scale(float(srgb_decode(rgb).mean() / radiance.detach().mean().clamp_min(1e-6)))
-            self.matched = True
-            return self.colour(x_ref, gamma, normals, view, rgb)
-        return srgb_encode(radiance)
-
-    def energy(self):
-        c = self.config
-        return c.albedo_prior * self.albedo.square().sum() + c.light_prior * self.light.energy()
-
-
 class _Fit:
     """The parts that every step of the fit reads."""
 
-    def __init__(self, config, model, codes, coefficients, appearance, pose, inside, edge, generator, shading):
-        self.shading = shading
+    def __init__(self, config, model, codes, coefficients, appearance, pose, inside, edge, generator):
         self.config, self.model, self.codes, self.pose = config, model, codes, pose
         self.coefficients, self.appearance = coefficients, appearance
         self.inside, self.edge, self.generator = inside, edge, generator
@@ -279,12 +234,8 @@ class _Fit:
         for parameter in self.network_parameters():
             parameter.requires_grad_(True)
 
-    def losses(self, *, geometry: bool, shaded: bool = False) -> dict[str, Tensor]:
-        """Weighted loss terms of one step.
-
-        Without `geometry` only the appearance code learns; `shaded` explains colours by AF-SM and light instead of by
-        the learned renderer.
-        """
+    def losses(self, *, geometry: bool) -> dict[str, Tensor]:
+        """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
         c = self.config
         z_sdf, z_r = self.codes()
         chosen = self.inside.draw(c.rays, self.generator, (self.inside.hit & self.inside.rays.usable).float())
@@ -309,28 +260,21 @@ class _Fit:
         with torch.no_grad():
             self.inside.t[chosen] += ((x - x0) * directions).sum(-1).clamp(-c.lost, c.lost)
         delta, gamma = self.model.deform(x, z_sdf)
+        colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
+            "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self.silhouette(z_sdf),
             "prior": c.prior * self.coefficients.square().sum(),
+            "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
         }
-
-        def error(colour):
-            return ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0)
-
-        if shaded:
-            colour = self.shading.colour(x + delta, gamma, normals, -directions.detach(), rays.rgb)
-            losses["shading"] = c.shading * error(colour)
-            losses["light_prior"] = self.shading.energy()
-        if not shaded or self.before is not None:
-            losses["colour"] = c.colour * error(self.model.render(x + delta, normals, -directions, gamma, z_r))
-            losses["appearance_prior"] = c.appearance_prior * self.appearance.square().sum()
         if self.refine_pose:
             sigma = self.appearance.new_tensor(POSE_SIGMA)
             scaled = torch.cat([self.pose.rotation, self.pose.translation]) / sigma
             losses["pose"] = c.pose * scaled.square().sum()
         if self.before is not None:
             losses["eikonal"] = c.eikonal * ((length - 1.0) ** 2).mean()
-            losses["anchor"] = c.anchor * self.anchor(x.detach(), z_sdf)
+            far, uneven = self.anchor(x.detach(), z_sdf)
+            losses["anchor"], losses["slope"] = c.anchor * far, c.slope * uneven
         return losses
 
     def silhouette(self, z_sdf):
@@ -352,12 +296,22 @@ class _Fit:
         return 10.0 * (robust * wrong).sum() / max(len(chosen), 1)
 
     def anchor(self, x, z_sdf):
-        """Squared change of the deformation since phase A, on the seen surface and all around."""
+        """How far, squared, and how unevenly the deformation changed since phase A, on the seen surface and around it.
+
+        The second term is the squared slope of the change: it lets features move and keeps spikes (an ear drawn out
+        into hair) from growing.
+        """
         low, high = (x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
-        anywhere = low + (high - low) * torch.rand(256, 3, generator=self.generator, device=x.device)
-        points = torch.cat([x[:512], anywhere])
+        random = torch.rand(256, 3, generator=self.generator, device=x.device)
+        edge = self.edge.draw(256, self.generator, torch.ones_like(self.edge.t))
+        band = self.edge.rays.origins[edge] + self.edge.t[edge, None] * self.edge.rays.directions[edge]
+        points = torch.cat([x[:384], band, low + (high - low) * random])
+        away = SLOPE_REACH * torch.randn(points.shape, generator=self.generator, device=x.device)
+        both = torch.cat([points, points + away])
         model, z_before = self.before
         with torch.no_grad():
-            before, _ = model.deform(points, z_before)
-        now, _ = self.model.deform(points, z_sdf)
-        return (now - before).square().sum(-1).mean()
+            before, _ = model.deform(both, z_before)
+        now, _ = self.model.deform(both, z_sdf)
+        here, there = (now - before).chunk(2)
+        slope = (there - here).square().sum(-1) / away.square().sum(-1)
+        return here.square().sum(-1).mean(), slope.mean()

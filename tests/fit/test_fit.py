@@ -22,7 +22,7 @@ from sira_assets.texture.unwrap import UnwrapConfig
 SHAPE = ShapeConfig(code_size=4, appearance_code_size=4, feature_size=2, deformation_width=16, reference_width=16)
 APPEARANCE = AppearanceConfig(albedo_code_size=3, specular_code_size=2, light_code_size=3, lobes=4, albedo_width=16)
 GEOMETRY = GeometryFitConfig(
-    steps_appearance=4, steps_codes=6, steps_shading=4, steps_networks=4, pool=300, band_pool=100, rays=60, band_rays=40
+    steps_appearance=4, steps_codes=6, steps_networks=4, pool=300, band_pool=100, rays=60, band_rays=40
 )
 APPEARANCE_FIT = AppearanceFitConfig(
     steps_light=4,
