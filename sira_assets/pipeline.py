@@ -70,7 +70,7 @@ def settings_for(quality: str, *, texture_size: int | None = None, max_triangles
     elif quality == "standard":
         size, triangles, cell, samples = 1024, 30000, 0.002, 2
     elif quality == "high":
-        g = replace(g, steps_codes=500, steps_networks=400, rays=1600, band_rays=600)
+        g = replace(g, steps_codes=400, steps_networks=320, rays=2000, band_rays=600)
         a = replace(a, steps_refinement=1500, pixels=6000, max_surface=400000)
         size, triangles, cell, samples = 2048, 60000, 0.0015, 3
     else:

@@ -39,7 +39,7 @@ class GeometryFitConfig:
 
     steps_appearance: int = 80
     steps_codes: int = 200
-    steps_networks: int = 240
+    steps_networks: int = 320
     pool: int = 6000
     band_pool: int = 2500
     rays: int = 1000
@@ -54,6 +54,10 @@ class GeometryFitConfig:
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
     reach: float = 0.1
+    reach_networks: float = 0.4
+    # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
+    # a hole in the render.
+    cover: float = 6.0
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -291,9 +295,11 @@ class _Fit:
         target = rays.in_mask.float()
         logits = -c.alpha * f
         off = nn.functional.binary_cross_entropy_with_logits(logits, target, reduction="none") / c.alpha
-        # Saturating: hair and clothes that no code can reach must not bend the face.
-        robust = c.reach * off / (c.reach + off)
-        return 10.0 * (robust * wrong).sum() / max(len(chosen), 1)
+        # Saturating: hair and clothes that no code can reach must not bend the face. The networks can reach further.
+        reach = c.reach if self.before is None else c.reach_networks
+        robust = reach * off / (reach + off)
+        weight = torch.where(rays.in_mask & (self.before is not None), c.cover, 1.0)
+        return 10.0 * (weight * robust * wrong).sum() / max(len(chosen), 1)
 
     def anchor(self, x, z_sdf):
         """How far, squared, and how unevenly the deformation changed since phase A, on the seen surface and around it.

@@ -98,7 +98,7 @@ def silhouette_band(portrait: Portrait) -> tuple[np.ndarray, np.ndarray]:
     outside = ndimage.distance_transform_edt(~portrait.mask)
     inside = ndimage.distance_transform_edt(portrait.mask)
     # A mask that touches the picture's border was cropped there; the border is no silhouette.
-    rows, columns = np.nonzero((outside <= reach) & (inside <= 0.5 * reach))
+    rows, columns = np.nonzero((outside <= reach) & (inside <= reach))
     rays = pixel_rays(portrait, rows, columns)
     # Height at which a ray crosses the canonical plane z = 0, the plane of the eyes and, nearly, of the silhouette.
     t = -rays.origins[:, 2] / rays.directions[:, 2]
