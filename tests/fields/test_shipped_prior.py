@@ -17,7 +17,7 @@ WEIGHTS = Path(sira_assets.fields.__file__).parent / "weights"
 
 def test_weights_are_small_and_have_a_card():
     assert (WEIGHTS / "prior.safetensors").stat().st_size <= 20e6
-    card = (WEIGHTS / "README.md").read_text(encoding="utf-8")
+    card = (WEIGHTS / "README.md").read_text(encoding="utf-8").lower()
     for word in ("trained on", "seconds", "mm"):
         assert word in card
 

@@ -38,7 +38,14 @@ def test_bytes_do_not_depend_on_workers_order_or_resumption(tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_exits_with_130_and_leaves_only_whole_scenes(tmp_path):
     command = [sys.executable, str(TOOL), "--count", "50", "--out", str(tmp_path), "--workers", "1", *SMALL]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # A test runner started in the background has SIGINT ignored, which a child inherits.
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     begun = time.monotonic()
     while not (tmp_path / "train.json").exists() and time.monotonic() - begun < 120:
         time.sleep(0.2)

@@ -94,7 +94,7 @@ def test_training_brings_the_losses_down(spheres, tmp_path):
     first = shape_losses(ShapeAppearanceModel(MODEL), new_codes(4, MODEL, 0), spheres, config, 0)
     last = {}
     train_shape(spheres, tmp_path, model_config=MODEL, config=config, report=lambda step, losses: last.update(losses))
-    assert last["surface"] < 0.5 * first["surface"].item()
+    assert last["surface"] < 0.7 * first["surface"].item()
     assert last["colour"] < first["colour"].item()
 
 
