@@ -54,10 +54,10 @@ class GeometryFitConfig:
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
     reach: float = 0.1
-    reach_networks: float = 0.4
+    reach_networks: float = 0.8
     # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
     # a hole in the render.
-    cover: float = 6.0
+    cover: float = 14.0
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -284,14 +284,13 @@ class _Fit:
     def silhouette(self, z_sdf):
         """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
         c = self.config
-        chosen = self.edge.draw(c.band_rays, self.generator, torch.ones_like(self.edge.t))
+        # Rays that hit and should are content; only the others carry a gradient, as in IDR, and only they are drawn.
+        wrong = ~(self.edge.hit & self.edge.rays.in_mask)
+        chosen = self.edge.draw(c.band_rays, self.generator, wrong.float())
         rays = self.edge.rays.select(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)
         x = origins + self.edge.t[chosen, None] * directions
         f, _, _ = self.model(x, z_sdf)
-        # Rays that hit and should are content; the others carry the gradient, as in IDR.
-        hit = self.edge.hit[chosen]
-        wrong = ~(hit & rays.in_mask)
         target = rays.in_mask.float()
         logits = -c.alpha * f
         off = nn.functional.binary_cross_entropy_with_logits(logits, target, reduction="none") / c.alpha
@@ -299,7 +298,7 @@ class _Fit:
         reach = c.reach if self.before is None else c.reach_networks
         robust = reach * off / (reach + off)
         weight = torch.where(rays.in_mask & (self.before is not None), c.cover, 1.0)
-        return 10.0 * (weight * robust * wrong).sum() / max(len(chosen), 1)
+        return 10.0 * wrong.float().mean() * (weight * robust).sum() / max(len(chosen), 1)
 
     def anchor(self, x, z_sdf):
         """How far, squared, and how unevenly the deformation changed since phase A, on the seen surface and around it.
