@@ -18,7 +18,15 @@ from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
-from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
+from sira_assets.fit.pixels import (
+    CUT_Y_M,
+    PixelRays,
+    face_weight,
+    mask_rays,
+    pixel_rays,
+    require_pixels,
+    silhouette_band,
+)
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
 from sira_assets.render.tracing import TraceConfig, differentiable_hit, sphere_trace
 from sira_assets.scene.portrait import Portrait
@@ -57,7 +65,7 @@ class GeometryFitConfig:
     reach_networks: float = 0.8
     # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
     # a hole in the render.
-    cover: float = 14.0
+    cover: float = 8.0
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -284,9 +292,10 @@ class _Fit:
     def silhouette(self, z_sdf):
         """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
         c = self.config
-        # Rays that hit and should are content; only the others carry a gradient, as in IDR, and only they are drawn.
-        wrong = ~(self.edge.hit & self.edge.rays.in_mask)
-        chosen = self.edge.draw(c.band_rays, self.generator, wrong.float())
+        # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside.
+        hit, inside = self.edge.hit, self.edge.rays.in_mask
+        chance = torch.where(hit & inside, 0.0, torch.where(hit == inside, 0.2, 1.0))
+        chosen = self.edge.draw(c.band_rays, self.generator, chance)
         rays = self.edge.rays.select(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)
         x = origins + self.edge.t[chosen, None] * directions
@@ -298,7 +307,7 @@ class _Fit:
         reach = c.reach if self.before is None else c.reach_networks
         robust = reach * off / (reach + off)
         weight = torch.where(rays.in_mask & (self.before is not None), c.cover, 1.0)
-        return 10.0 * wrong.float().mean() * (weight * robust).sum() / max(len(chosen), 1)
+        return 10.0 * chance.mean() * (weight * robust).sum() / max(len(chosen), 1)
 
     def anchor(self, x, z_sdf):
         """How far, squared, and how unevenly the deformation changed since phase A, on the seen surface and around it.
@@ -319,4 +328,6 @@ class _Fit:
         now, _ = self.model.deform(both, z_sdf)
         here, there = (now - before).chunk(2)
         slope = (there - here).square().sum(-1) / away.square().sum(-1)
-        return here.square().sum(-1).mean(), slope.mean()
+        # Below the chin are collars and scarves, which stand off the neck that the prior knows.
+        held = torch.where(points[:, 1] * UNIT_M < CUT_Y_M, 0.1, 1.0)
+        return (held * here.square().sum(-1)).mean(), (held * slope).mean()
