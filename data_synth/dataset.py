@@ -160,23 +160,23 @@ def write_dataset(
     if workers < 1:
         raise InputError(expected="at least one worker", received=f"{workers}", remedy="use --workers 1 or more")
     claim_folder(out, settings)
-    todo = []
+    missing = []
     for index in indices:
         if (out / scene_name(settings, index)).is_dir():
             on_scene(scene_name(settings, index), 0.0)
         else:
-            todo.append(index)
-    if not todo:
+            missing.append(index)
+    if not missing:
         return 0
-    with _pool(min(workers, len(todo))) as pool:
-        pending, queue = set(), iter(todo)
+    with _pool(min(workers, len(missing))) as pool:
+        pending, queue = set(), iter(missing)
         while True:
             for index in queue:
                 pending.add(pool.submit(_write_one, out, settings, index))
                 if len(pending) >= 2 * workers:
                     break
             if not pending:
-                return len(todo)
+                return len(missing)
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 on_scene(*future.result())
