@@ -77,6 +77,7 @@ def irradiance(
     sharpness: Float[Tensor, " m"],
     amplitude: Float[Tensor, "m 3"],
     *,
+    visibility: Float[Tensor, "*n m"] | None = None,
     grade: Grade = "accurate",
 ) -> Float[Tensor, "*n 3"]:
     """Irradiance E(n) = int G(w) max(n . w, 0) dw; the diffuse radiance is albedo / pi times it.
@@ -84,6 +85,7 @@ def irradiance(
     Parameters
     ----------
     normals : (..., 3) unit
+    visibility : (..., M) in [0, 1], the share of each lobe's irradiance that nothing stands before; 1 if None
     grade : "accurate", within 0.01 % of a lobe's head-on value, or "fast", the published route, within 1.3 %
 
     Returns
@@ -91,4 +93,5 @@ def irradiance(
     (..., 3), >= 0
     """
     cosine = (normals @ axis.mT).clamp(-1.0, 1.0)
-    return LOBE_IRRADIANCE[grade](cosine, sharpness) @ amplitude
+    received = LOBE_IRRADIANCE[grade](cosine, sharpness)
+    return (received if visibility is None else visibility * received) @ amplitude

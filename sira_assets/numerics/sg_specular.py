@@ -45,6 +45,7 @@ def specular_radiance(
     amplitude: Float[Tensor, "m 3"],
     *,
     roughness: float,
+    visibility: Float[Tensor, "n m"] | None = None,
     grade: Grade = "accurate",
 ) -> Float[Tensor, "n 3"]:
     """Radiance reflected towards the camera by the specular lobe alone.
@@ -58,6 +59,7 @@ def specular_radiance(
     normals, view : (N, 3) unit; view points to the camera. Surfaces seen from behind (nv < 0) count as grazing.
     f0 : (N,) in [0, 1]
     roughness : 0.05 to 1
+    visibility : (N, M) in [0, 1], the share of each lobe that nothing stands before; 1 if None
     grade : "fast" is the published BRDF as it stands; "accurate" gives its lobe the energy of the GGX surface that
         viewers render (`ggx_albedo`), of which the published one keeps a half at nv = 0.3 and a tenth at 0.05
 
@@ -69,9 +71,12 @@ def specular_radiance(
     rows = max(1, _PAIRS // max(len(sharpness), 1))
     tensors = (normals, view, f0, axis, sharpness, amplitude)
     if len(normals) <= rows or (torch.is_grad_enabled() and any(t.requires_grad for t in tensors)):
-        return _specular_radiance(*tensors, roughness, grade)
-    blocks = zip(normals.split(rows), view.split(rows), f0.split(rows), strict=True)
-    return torch.cat([_specular_radiance(n, v, f, axis, sharpness, amplitude, roughness, grade) for n, v, f in blocks])
+        return _specular_radiance(*tensors, roughness, visibility, grade)
+    seen = [None] * -(-len(normals) // rows) if visibility is None else visibility.split(rows)
+    blocks = zip(normals.split(rows), view.split(rows), f0.split(rows), seen, strict=True)
+    return torch.cat(
+        [_specular_radiance(n, v, f, axis, sharpness, amplitude, roughness, s, grade) for n, v, f, s in blocks]
+    )
 
 
 def _specular_radiance(
@@ -82,6 +87,7 @@ def _specular_radiance(
     sharpness: Tensor,
     amplitude: Tensor,
     roughness: float,
+    visibility: Tensor | None,
     grade: Grade,
 ) -> Tensor:
     alpha_squared = roughness**4
@@ -93,7 +99,8 @@ def _specular_radiance(
     distance_squared = squared_distance(mirror.unsqueeze(-2), axis)  # (n, m)
     product, exponent = product_scalars(lobe_sharpness.unsqueeze(-1), sharpness, distance_squared)
     cosine = (0.5 / alpha_squared + sharpness * (normals @ axis.mT)) / product  # lobe_sharpness nv = 1 / (2 alpha^2)
-    reflected = (torch.exp(exponent) * _masked(cosine, product, k)) @ amplitude
+    reflected = torch.exp(exponent) * _masked(cosine, product, k)
+    reflected = (reflected if visibility is None else visibility * reflected) @ amplitude
 
     if grade == "fast":
         gain = fresnel(f0, n_dot_v) / (4.0 * math.pi * alpha_squared * (n_dot_v * (1.0 - k) + k))

@@ -1,4 +1,4 @@
-"""Local shading of surface points by spherical gaussian light: SIRA's r_pb = r_d + r_s without shadows or bounces.
+"""Shading of surface points by spherical gaussian light: SIRA's r_pb = r_d + r_s, shadowed where visibility is given.
 
 Notation: n normals, v view (towards the camera), a diffuse albedo (linear), s specular albedo as F0; light as in
 `numerics.sg`. All in one frame (world).
@@ -51,6 +51,7 @@ def shade(
     amplitude: Float[Tensor, "m 3"],
     *,
     roughness: float = ROUGHNESS,
+    visibility: Float[Tensor, "n m"] | None = None,
     grade: Grade = "accurate",
 ) -> Shading:
     """Shade points by distant light.
@@ -62,10 +63,11 @@ def shade(
     specular_f0 : (N,) in [0, 1]
     axis, sharpness, amplitude : the light's lobes, in the frame of the normals
     roughness : 0.05 to 1
+    visibility : (N, M) in [0, 1], the share of each lobe's light that nothing stands before; 1 if None
     grade : see `numerics.sg.irradiance` and `numerics.sg_specular.specular_radiance`
     """
-    light = irradiance(normals, axis, sharpness, amplitude, grade=grade)
+    light = irradiance(normals, axis, sharpness, amplitude, visibility=visibility, grade=grade)
     specular = specular_radiance(
-        normals, view, specular_f0, axis, sharpness, amplitude, roughness=roughness, grade=grade
+        normals, view, specular_f0, axis, sharpness, amplitude, roughness=roughness, visibility=visibility, grade=grade
     )
     return Shading(diffuse * light / math.pi, specular, light)

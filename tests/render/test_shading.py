@@ -80,3 +80,16 @@ def test_irradiance_on_true_normals_is_the_real_scenes_diffuse_shading(real_data
     black = torch.zeros(len(n))
     value = shade(n, n, torch.ones(len(n), 3), black, *lobes(light), grade=grade).diffuse_radiance.numpy()
     assert np.abs(value - truth[inside]).max() < tolerance * truth[inside].max()
+
+
+def test_visibility_scales_each_lobe():
+    torch.manual_seed(0)
+    n = torch.nn.functional.normalize(torch.randn(7, 3), dim=-1)
+    v = torch.nn.functional.normalize(n + 0.3 * torch.randn(7, 3), dim=-1)
+    axis = torch.nn.functional.normalize(torch.randn(3, 3), dim=-1)
+    light = axis, torch.tensor([2.0, 9.0, 80.0]), torch.rand(3, 3)
+    seen = torch.tensor([1.0, 0.0, 1.0]).expand(7, 3)
+    kept = [t[[0, 2]] for t in light]
+    shadowed = shade(n, v, torch.full((7, 3), 0.5), torch.full((7,), 0.04), *light, visibility=seen)
+    fewer = shade(n, v, torch.full((7, 3), 0.5), torch.full((7,), 0.04), *kept)
+    torch.testing.assert_close(shadowed.radiance, fewer.radiance)  # a lobe that nothing sees is a lobe less
