@@ -15,7 +15,8 @@ from importlib import resources
 
 import numpy as np
 
-from data_synth.head.params import HeadParams, NamedShape
+from data_synth.head.params import HeadParams
+from data_synth.head.shape_params import NamedShape
 
 
 @dataclass(frozen=True)

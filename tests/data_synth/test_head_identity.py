@@ -13,7 +13,8 @@ from data_synth.head.identity import (
     named_displacement_mm,
     warp_points,
 )
-from data_synth.head.params import HAIR_STYLES, HeadParams, NamedShape, mean_params, sample_params
+from data_synth.head.params import HAIR_STYLES, HeadParams, mean_params, sample_params
+from data_synth.head.shape_params import NamedShape
 from sira_assets.errors import InputError
 
 
