@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sira_assets.measure.asset_view import AssetView, view_asset
-from sira_assets.measure.glb_model import GlbModel, read_glb
 from sira_assets.measure.image_metrics import ImageScore, correlation, score_image
 from sira_assets.measure.protocols import ProtocolConfig, SurfaceReport, measure_prepared, without_inner
 from sira_assets.measure.truth import camera_in_metres, read_truth
 from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.relight.asset_view import AssetView, view_asset
+from sira_assets.relight.glb_model import GlbModel, read_glb
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.frame import Frame
 from sira_assets.scene.image import read_image

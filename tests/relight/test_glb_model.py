@@ -9,9 +9,9 @@ from glb_maker import write_test_glb
 from shapes import sphere
 
 from sira_assets.errors import InputError
-from sira_assets.measure.asset_view import view_asset
-from sira_assets.measure.glb_model import Texture, read_glb
 from sira_assets.numerics.colour import linear_from_srgb
+from sira_assets.relight.asset_view import view_asset
+from sira_assets.relight.glb_model import Texture, read_glb
 from sira_assets.scene.camera import Camera
 
 

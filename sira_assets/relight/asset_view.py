@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sira_assets.measure.glb_model import GlbModel, Material
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.relight.glb_model import GlbModel, Material
 from sira_assets.scene.camera import Camera
 
 F0_PER_KS = 0.04
