@@ -16,9 +16,10 @@ from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
 from sira_assets.numerics.srgb import srgb_encode
 from sira_assets.render.shading import shade
-from sira_assets.train.batches import SampleTensors, draw, step_generator
-from sira_assets.train.checkpoint import load_checkpoint, save_checkpoint
-from sira_assets.train.shape import ShapeCodes, learning_rate
+from sira_assets.train.batches import Batch, SampleTensors
+from sira_assets.train.loop import LoopConfig, Trainee, digest, train
+from sira_assets.train.parallel import Share
+from sira_assets.train.shape import ShapeCodes
 
 
 @dataclass(frozen=True)
@@ -63,44 +64,43 @@ def appearance_losses(
     data: SampleTensors,
     config: AppearanceTrainConfig,
     step: int,
+    share: Share = Share(),
 ) -> dict[str, Tensor]:
     """All loss terms of one step, unweighted. Lights are per scene, so each scene is shaded on its own."""
     c = config
-    generator = step_generator(c.seed + 1, step, data.pixels.device)
-    count = min(c.scenes_per_step, len(data))
-    scenes = torch.randperm(len(data), generator=generator, device=generator.device)[:count]
-    x, view, rgb, diffuse, specular = draw(
-        (data.pixels, data.pixel_view, data.pixel_rgb, data.pixel_diffuse, data.pixel_specular),
-        scenes,
-        c.pixels,
-        generator,
+    batch = Batch.of_step(c.seed + 1, step, c.scenes_per_step, len(data), share, codes.z_a.device)
+    x, view, rgb, diffuse, specular = batch.draw(
+        (data.pixels, data.pixel_view, data.pixel_rgb, data.pixel_diffuse, data.pixel_specular), c.pixels
     )
-    z_sdf = shape_codes.z_sdf.detach()[scenes].repeat_interleave(c.pixels, 0)
+    z_sdf = batch.codes(shape_codes.z_sdf.detach(), c.pixels)
     _, gradient, x_ref, gamma = sdf_and_gradient(shape, x, z_sdf, differentiable=False)
     normals = nn.functional.normalize(gradient.detach(), dim=-1)
     x_ref, gamma = x_ref.detach(), gamma.detach()
-    z_a, z_s = (table[scenes].repeat_interleave(c.pixels, 0) for table in (codes.z_a, codes.z_s))
+    z_a, z_s = (batch.codes(table, c.pixels) for table in (codes.z_a, codes.z_s))
     albedo, f0 = model.diffuse(x_ref, gamma, z_a), model.specular_f0(x_ref, z_s)
-    axis, sharpness, amplitude = model.lobes(codes.z_l[scenes])
+    axis, sharpness, amplitude = model.lobes(batch.codes(codes.z_l))
     radiance = []
-    for i in range(count):
+    for i in range(len(axis)):
         rows = slice(i * c.pixels, (i + 1) * c.pixels)
         shading = shade(normals[rows], view[rows], albedo[rows], f0[rows], axis[i], sharpness[i], amplitude[i])
         radiance.append(shading.diffuse_radiance + shading.specular_radiance)
-    offset = c.smooth_reach * torch.randn(x_ref.shape, generator=generator, device=x_ref.device)
+    offset = c.smooth_reach * batch.normal(c.pixels, 3)
     losses = {
         "colour": (srgb_encode(torch.cat(radiance)) - srgb_encode(rgb)).abs().mean(),
-        "embedding": sum(table[scenes].square().sum(-1).mean() for table in (codes.z_a, codes.z_s, codes.z_l)),
+        "embedding": sum(batch.codes(table).square().sum(-1).mean() for table in (codes.z_a, codes.z_s, codes.z_l)),
         "smooth": (albedo - model.diffuse(x_ref + offset, gamma, z_a)).abs().mean(),
     }
     if c.supervision > 0:
-        known = torch.isfinite(specular)
-        if not known.any():
-            return losses
-        losses["supervision"] = (srgb_encode(albedo[known]) - srgb_encode(diffuse[known])).abs().mean() + (
-            f0[known] - specular[known]
-        ).abs().mean() / 0.04
+        losses["supervision"] = _supervision(albedo, f0, diffuse, specular, share)
     return losses
+
+
+def _supervision(albedo: Tensor, f0: Tensor, diffuse: Tensor, specular: Tensor, share: Share) -> Tensor:
+    """Error of both albedos against exact ones, over the pixels of the whole step that have them."""
+    known = torch.isfinite(specular)
+    diffuse, specular = torch.where(known[:, None], diffuse, 0.0), torch.where(known, specular, 0.0)
+    error = (srgb_encode(albedo) - srgb_encode(diffuse)).abs().mean(-1) + (f0 - specular).abs() / 0.04
+    return (known * error).mean() / share.mean(known.float().mean()).clamp_min(1e-6)
 
 
 def train_appearance(
@@ -114,36 +114,28 @@ def train_appearance(
     device: str | torch.device = "cpu",
     resume: bool = False,
     save_every: int = 500,
+    scenes_digest: str = "",
+    share: Share = Share(),
     report: Callable[[int, dict[str, float]], None] = lambda step, losses: None,
-) -> tuple[AppearanceFactorModel, AppearanceCodes]:
-    """Train AF-SM on a frozen SA-SM, keeping `folder/appearance.safetensors`; with `resume` go on from it exactly."""
+) -> tuple[AppearanceFactorModel, AppearanceCodes, float]:
+    """Train AF-SM on a frozen SA-SM, keeping `folder/appearance.safetensors`; with `resume` go on from it exactly.
+
+    Parameters, returned values and errors as `train_shape`.
+    """
     torch.manual_seed(config.seed + 1)
     model = AppearanceFactorModel(model_config, feature_size=shape.config.feature_size).to(device)
     codes = new_appearance_codes(len(data), model_config, config.seed, device)
-    tables = [codes.z_a, codes.z_s, codes.z_l]
     shape.requires_grad_(False)
-    optimiser = torch.optim.Adam(
-        [{"params": list(model.parameters()), "lr": config.rate}, {"params": tables, "lr": config.code_rate}]
+    trainee = Trainee(model, {"z_a": codes.z_a, "z_s": codes.z_s, "z_l": codes.z_l}, config.rate, config.code_rate)
+    names = ("embedding", "smooth", *(("supervision",) if config.supervision > 0 else ()))
+    seconds = train(
+        trainee,
+        lambda step: appearance_losses(model, codes, shape, shape_codes, data, config, step, share),
+        {"colour": 1.0} | {name: getattr(config, name) for name in names},
+        Path(folder) / "appearance.safetensors",
+        LoopConfig(config.steps, save_every, resume),
+        run_digest=digest("AF-SM", shape.config, model_config, config, len(data), scenes_digest),
+        share=share,
+        report=report,
     )
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda s: learning_rate(s, config.steps))
-    tensors = {
-        "model": model.state_dict(),
-        "codes": dict(zip(("z_a", "z_s", "z_l"), (t.data for t in tables), strict=True)),
-    }
-    path = Path(folder) / "appearance.safetensors"
-    start = load_checkpoint(path, tensors, optimiser, schedule) if resume and path.exists() else 0
-    for step in range(start, config.steps):
-        losses = appearance_losses(model, codes, shape, shape_codes, data, config, step)
-        total = losses["colour"] + config.embedding * losses["embedding"] + config.smooth * losses["smooth"]
-        if "supervision" in losses:
-            total = total + config.supervision * losses["supervision"]
-        optimiser.zero_grad(set_to_none=True)
-        total.backward()
-        nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        optimiser.step()
-        schedule.step()
-        if (step + 1) % 50 == 0 or step + 1 == config.steps:
-            report(step + 1, {name: float(value.detach()) for name, value in losses.items()})
-        if (step + 1) % save_every == 0 or step + 1 == config.steps:
-            save_checkpoint(path, tensors, optimiser, schedule, step + 1)
-    return model, codes
+    return model, codes, seconds

@@ -3,32 +3,70 @@
 Random numbers are functions of (seed, step), so no generator state is kept.
 """
 
-import json
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from sira_assets.atomic import replacing
+from sira_assets.errors import InputError
 
 
-def save_checkpoint(path: Path, tensors: dict, optimiser, schedule, step: int) -> None:
-    """Write `tensors` (name -> state dict) and the optimiser's state after `step` steps."""
+def save_checkpoint(
+    path: Path,
+    tensors: dict[str, dict[str, Tensor]],
+    optimiser: torch.optim.Optimizer,
+    step: int,
+    run_digest: str,
+    seconds: float,
+) -> None:
+    """Write `tensors` (name -> state dict) and the optimiser's state after `step` steps and `seconds` of work."""
     flat = {f"{name}/{key}": value for name, state in tensors.items() for key, value in state.items()}
     for index, state in optimiser.state_dict()["state"].items():
         flat |= {f"optimiser/{index}/{key}": torch.as_tensor(value) for key, value in state.items()}
-    header = {"step": str(step), "schedule": json.dumps({"last_epoch": schedule.last_epoch})}
+    header = {
+        "step": str(step),
+        "digest": run_digest,
+        "seconds": repr(float(seconds)),
+    }
     with replacing(path) as temporary:
         save_file({key: value.detach().cpu().contiguous() for key, value in flat.items()}, temporary, header)
 
 
-def load_checkpoint(path: Path, tensors: dict, optimiser, schedule) -> int:
-    """Fill `tensors` (in place) and the optimiser from a checkpoint; the number of steps done."""
+def load_checkpoint(
+    path: Path,
+    tensors: dict[str, dict[str, Tensor]],
+    optimiser: torch.optim.Optimizer,
+    run_digest: str,
+) -> tuple[int, float]:
+    """Fill `tensors` (in place) and the optimiser from a checkpoint.
+
+    Returns
+    -------
+    step, seconds : steps and seconds of work behind it.
+
+    Raises
+    ------
+    InputError : damaged, or of a run with other settings or scenes.
+    """
     from safetensors import safe_open
 
-    flat = load_file(path)
-    with safe_open(path, "pt") as file:
-        header = file.metadata()
+    try:
+        flat = load_file(path)
+        with safe_open(path, "pt") as file:
+            header = file.metadata()
+    except (SafetensorError, OSError) as error:
+        raise InputError(
+            expected=f"a checkpoint at {path}", received=str(error), remedy="remove it, or train without --resume"
+        ) from error
+    if header.get("digest") != run_digest:
+        raise InputError(
+            expected=f"a checkpoint of this very run at {path}",
+            received="one of other settings or scenes",
+            remedy="give the settings it was begun with, another --run, or train without --resume",
+        )
     with torch.no_grad():
         for name, state in tensors.items():
             for key, value in state.items():
@@ -39,8 +77,4 @@ def load_checkpoint(path: Path, tensors: dict, optimiser, schedule) -> int:
             _, index, name = key.split("/")
             state.setdefault(int(index), {})[name] = value
     optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-    step = int(header["step"])
-    schedule.last_epoch = json.loads(header["schedule"])["last_epoch"]
-    for group, base, factor in zip(optimiser.param_groups, schedule.base_lrs, schedule.lr_lambdas, strict=True):
-        group["lr"] = base * factor(schedule.last_epoch)
-    return step
+    return int(header["step"]), float(header["seconds"])

@@ -1,9 +1,8 @@
 """From a folder of scenes to a prior: samples, SA-SM, AF-SM, the statistics of their codes, a record of it all."""
 
-import hashlib
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import torch
@@ -14,8 +13,10 @@ from sira_assets.fields.af_sm import AppearanceConfig
 from sira_assets.fields.prior import CodeStatistics, Prior, save_prior
 from sira_assets.fields.sa_sm import ShapeConfig
 from sira_assets.train.appearance import AppearanceTrainConfig, train_appearance
-from sira_assets.train.batches import stack
-from sira_assets.train.scenes import SampleConfig, list_scenes, load_samples
+from sira_assets.train.batches import SampleTensors, open_stack, write_stack
+from sira_assets.train.loop import digest
+from sira_assets.train.parallel import Share, joined_share
+from sira_assets.train.scenes import SampleConfig, list_scenes, load_samples, scenes_digest
 from sira_assets.train.shape import ShapeTrainConfig, train_shape
 
 
@@ -75,51 +76,69 @@ def train_prior(
     ------
     InputError : no scenes, or scenes without truth.
     """
-    started = time.monotonic()
-    names = [path.name for path in list_scenes(scenes)]
-    task = progress.add_task("samples", total=len(names)) if progress is not None else None
-    data = stack(
-        load_samples(
-            scenes,
-            config=config.samples,
-            seed=config.shape.seed,
-            workers=workers,
-            progress=(lambda: progress.advance(task)) if progress is not None else None,
-        ),
-        device=device,
-    )
-    log = TrainingLog(Path(run) / "curves.jsonl", progress)
-    shape, codes = train_shape(
-        data,
-        run,
-        model_config=config.shape_model,
-        config=config.shape,
-        device=device,
-        resume=resume,
-        report=log.reporter("shape", config.shape.steps),
-    )
-    appearance, appearance_codes = train_appearance(
-        data,
-        shape,
-        codes,
-        run,
-        model_config=config.appearance_model,
-        config=config.appearance,
-        device=device,
-        resume=resume,
-        report=log.reporter("appearance", config.appearance.steps),
-    )
-    tables = (codes.z_sdf, codes.z_r, appearance_codes.z_a, appearance_codes.z_s, appearance_codes.z_l)
-    prior = Prior(shape.cpu(), appearance.cpu(), *(CodeStatistics.of(table.detach().cpu()) for table in tables))
-    description = {
-        "scenes": len(names),
-        "scenes_sha256": hashlib.sha256("\n".join(names).encode()).hexdigest(),
-        "config": asdict(config),
-        "seconds": round(time.monotonic() - started),
-        "threads": torch.get_num_threads(),
-        "device": str(device),
-        "version": __version__,
-    }
-    save_prior(prior, out, description)
-    write_text(Path(run) / "description.json", json.dumps(description, indent=1))
+    with joined_share(device) as share:
+        progress = progress if share.leads else None
+        data, scenes_are = _samples(scenes, config, workers, progress, share)
+        if torch.device(device).type == "cuda" and _bytes(data) < 0.5 * torch.cuda.mem_get_info()[0]:
+            data = data.to(device)
+        log = TrainingLog(Path(run) / "curves.jsonl", progress)
+        shape, codes, shape_seconds = train_shape(
+            data,
+            run,
+            model_config=config.shape_model,
+            config=config.shape,
+            device=device,
+            resume=resume,
+            scenes_digest=scenes_are,
+            share=share,
+            report=log.reporter("shape", config.shape.steps),
+        )
+        appearance, appearance_codes, appearance_seconds = train_appearance(
+            data,
+            shape,
+            codes,
+            run,
+            model_config=config.appearance_model,
+            config=config.appearance,
+            device=device,
+            resume=resume,
+            scenes_digest=scenes_are,
+            share=share,
+            report=log.reporter("appearance", config.appearance.steps),
+        )
+        tables = (codes.z_sdf, codes.z_r, appearance_codes.z_a, appearance_codes.z_s, appearance_codes.z_l)
+        prior = Prior(shape.cpu(), appearance.cpu(), *(CodeStatistics.of(table.detach().cpu()) for table in tables))
+        if share.leads:
+            description = {
+                "scenes": len(data),
+                "scenes_sha256": scenes_are,
+                "config": asdict(config),
+                "seconds_shape": round(shape_seconds),
+                "seconds_appearance": round(appearance_seconds),
+                "processes": share.size,
+                "threads": torch.get_num_threads(),
+                "device": str(device),
+                "version": __version__,
+            }
+            save_prior(prior, out, description)
+            write_text(Path(run) / "description.json", json.dumps(description, indent=1))
     return prior
+
+
+def _samples(scenes: Path, config: PriorConfig, workers: int, progress, share: Share) -> tuple[SampleTensors, str]:
+    """All scenes' samples, memory-mapped, and the digest that names them; drawn by the first process only."""
+    seed = config.shape.seed
+    scenes_are = scenes_digest(scenes)
+    stacked = Path(scenes) / ".samples" / f"stack-{digest(scenes_are, config.samples, seed)}"
+    if share.leads:
+        names = list_scenes(scenes)
+        task = progress.add_task("samples", total=len(names)) if progress is not None else None
+        advance = (lambda: progress.advance(task)) if progress is not None else (lambda: None)
+        stored = load_samples(scenes, config=config.samples, seed=seed, workers=workers, progress=advance)
+        write_stack(stored, stacked)
+    share.wait()
+    return open_stack(stacked), scenes_are
+
+
+def _bytes(data: SampleTensors) -> int:
+    return sum(getattr(data, f.name).numel() * getattr(data, f.name).element_size() for f in fields(data))

@@ -6,6 +6,7 @@ directions from the surface to the camera; rgb linear radiance of the photo; d s
 
 import hashlib
 import json
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from multiprocessing import get_context
@@ -23,6 +24,11 @@ from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, transform_points
 from sira_assets.scene.image import read_image, read_mask
 from sira_assets.scene.read_scene import read_frames
 
+# Anchors that every scan has: the canonical landmarks.
+LANDMARKS = len(CANONICAL_LANDMARKS_M)
+# Counts up whenever samples on disk change their meaning.
+SAMPLES_VERSION = 2
+
 
 @dataclass(frozen=True)
 class SceneSamples:
@@ -32,7 +38,7 @@ class SceneSamples:
     surface_normals: np.ndarray  # (S, 3)
     volume: np.ndarray  # (V, 3)
     volume_sdf: np.ndarray  # (V,)
-    anchors: np.ndarray  # (A, 3), the same A points of every head
+    anchors: np.ndarray  # (9 + A, 3), the nine canonical landmarks, then the same A points of every head; NaN unknown
     pixels: np.ndarray  # (P, 3) surface points seen by the views
     pixel_normals: np.ndarray  # (P, 3)
     pixel_view: np.ndarray  # (P, 3)
@@ -96,7 +102,7 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
     near, _ = _on_surface(mesh, config.near, rng)
     sigma = np.where(rng.random(config.near) < 0.6, *config.near_sigma_m)[:, None]
     volume = np.concatenate([near + sigma * rng.normal(size=near.shape), rng.uniform(*BOUNDS_M, (config.far, 3))])
-    anchors = json.loads((scene / "gt" / "landmarks.json").read_text())["anchors_m"]
+    anchors = _anchors(json.loads((scene / "gt" / "landmarks.json").read_text()))
     unit = 1.0 / UNIT_M
     pixels = [
         _seen_pixels(frame, scene if i == 0 else None, to_canonical, mesh, caster, config.pixels_per_view, rng)
@@ -110,7 +116,7 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
         surface_normals=normals.astype(np.float32),
         volume=(volume * unit).astype(np.float32),
         volume_sdf=(caster.signed_distance(volume) * unit).astype(np.float32),
-        anchors=(transform_points(to_canonical, np.array(anchors)) * unit).astype(np.float32),
+        anchors=(transform_points(to_canonical, anchors) * unit).astype(np.float32),
         pixels=position * np.float32(unit),
         pixel_normals=normal,
         pixel_view=view,
@@ -118,6 +124,12 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
         pixel_diffuse=diffuse,
         pixel_specular=specular,
     )
+
+
+def _anchors(landmarks: dict) -> np.ndarray:
+    """The nine canonical landmarks, NaN where a scan lacks one, and the dense correspondences if it has any."""
+    nine = [landmarks["landmarks_m"].get(name, [np.nan] * 3) for name in CANONICAL_LANDMARKS_M]
+    return np.array([*nine, *landmarks.get("anchors_m", [])], np.float64)
 
 
 def _on_surface(mesh, count, rng):
@@ -166,31 +178,66 @@ def _seen_pixels(frame, truth, to_canonical, mesh, caster, count, rng):
     )
 
 
+class StoredSamples(Sequence[SceneSamples]):
+    """Samples on disk, each scene's loaded when it is asked for."""
+
+    def __init__(self, paths: list[Path]):
+        self.paths = paths
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> SceneSamples:
+        with np.load(self.paths[index], allow_pickle=False) as data:
+            return SceneSamples(**{field.name: data[field.name] for field in fields(SceneSamples)})
+
+
 def load_samples(
-    folder: Path, *, config: SampleConfig = SampleConfig(), seed: int = 0, workers: int = 2, progress=None
-):
+    folder: Path,
+    *,
+    config: SampleConfig = SampleConfig(),
+    seed: int = 0,
+    workers: int = 2,
+    progress: Callable[[], None] = lambda: None,
+) -> StoredSamples:
     """Samples of every scene below `folder`, drawn once and kept beside the scenes in `.samples/`.
+
+    Parameters
+    ----------
+    workers : processes that draw
+    progress : called once a scene
 
     Returns
     -------
-    list of SceneSamples, in the order of `list_scenes`.
+    In the order of `list_scenes`.
     """
     scenes = list_scenes(folder)
     paths = [Path(folder) / ".samples" / f"{scene.name}-{_sample_key(scene, config, seed)}.npz" for scene in scenes]
     missing = [(scene, path, config, seed) for scene, path in zip(scenes, paths, strict=True) if not path.exists()]
+    for _ in range(len(scenes) - len(missing)):
+        progress()
     if missing:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
             for _ in pool.map(_sample_to_file, missing):
-                if progress is not None:
-                    progress()
-    return [_read_samples(path) for path in paths]
+                progress()
+    return StoredSamples(paths)
+
+
+def scenes_digest(folder: Path) -> str:
+    """Changes with the names, cameras and poses of the scenes below `folder` and the sizes of their meshes."""
+    summed = hashlib.sha256()
+    for scene in list_scenes(folder):
+        mesh = scene / "gt" / "mesh.ply"
+        summed.update(f"{scene.name} {mesh.stat().st_size if mesh.exists() else 0}\n".encode())
+        summed.update((scene / "transforms.json").read_bytes())
+    return summed.hexdigest()
 
 
 def _sample_key(scene: Path, config: SampleConfig, seed: int) -> str:
     """Changes with the configuration and whenever the scene is written anew."""
     files = [scene / "transforms.json", scene / "gt" / "mesh.ply"]
     written = [(path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.exists()]
-    return hashlib.sha256(json.dumps([asdict(config), seed, written]).encode()).hexdigest()[:12]
+    return hashlib.sha256(json.dumps([SAMPLES_VERSION, asdict(config), seed, written]).encode()).hexdigest()[:12]
 
 
 def _sample_to_file(job):
@@ -198,8 +245,3 @@ def _sample_to_file(job):
     samples = sample_scene(scene, config, seed)
     with replacing(path) as temporary:
         np.savez(temporary, **{field.name: getattr(samples, field.name) for field in fields(samples)})
-
-
-def _read_samples(path):
-    with np.load(path, allow_pickle=False) as data:
-        return SceneSamples(**{field.name: data[field.name] for field in fields(SceneSamples)})

@@ -12,8 +12,10 @@ from torch import Tensor, nn
 
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig, sdf_and_gradient
 from sira_assets.numerics.srgb import srgb_encode
-from sira_assets.train.batches import SampleTensors, draw, step_generator
-from sira_assets.train.checkpoint import load_checkpoint, save_checkpoint
+from sira_assets.train.batches import Batch, SampleTensors
+from sira_assets.train.loop import LoopConfig, Trainee, digest, train
+from sira_assets.train.parallel import Share
+from sira_assets.train.scenes import LANDMARKS
 
 
 @dataclass(frozen=True)
@@ -63,24 +65,24 @@ def new_codes(count: int, config: ShapeConfig, seed: int) -> ShapeCodes:
 
 
 def shape_losses(
-    model: ShapeAppearanceModel, codes: ShapeCodes, data: SampleTensors, config: ShapeTrainConfig, step: int
+    model: ShapeAppearanceModel,
+    codes: ShapeCodes,
+    data: SampleTensors,
+    config: ShapeTrainConfig,
+    step: int,
+    share: Share = Share(),
 ) -> dict[str, Tensor]:
-    """All loss terms of one step, unweighted."""
+    """All loss terms of one step, unweighted; their mean over the processes is the step's."""
     c = config
-    generator = step_generator(c.seed, step, data.surface.device)
-    count = min(c.scenes_per_step, len(data))
-    scenes = torch.randperm(len(data), generator=generator, device=generator.device)[:count]
-
-    def code(table, repeats):
-        return table[scenes].repeat_interleave(repeats, 0)
-
-    pixels, pixel_normals, view, rgb = draw(
-        (data.pixels, data.pixel_normals, data.pixel_view, data.pixel_rgb), scenes, c.pixels, generator
+    batch = Batch.of_step(c.seed, step, c.scenes_per_step, len(data), share, codes.z_sdf.device)
+    count = len(batch.scenes)
+    pixels, pixel_normals, view, rgb = batch.draw(
+        (data.pixels, data.pixel_normals, data.pixel_view, data.pixel_rgb), c.pixels
     )
-    surface, surface_normals = draw((data.surface, data.surface_normals), scenes, c.surface, generator)
-    volume, volume_sdf = draw((data.volume, data.volume_sdf), scenes, c.volume, generator)
+    surface, surface_normals = batch.draw((data.surface, data.surface_normals), c.surface)
+    volume, volume_sdf = batch.draw((data.volume, data.volume_sdf), c.volume)
     x = torch.cat([pixels, surface, volume])
-    z = torch.cat([code(codes.z_sdf, n) for n in (c.pixels, c.surface, c.volume)])
+    z = torch.cat([batch.codes(codes.z_sdf, n) for n in (c.pixels, c.surface, c.volume)])
     sdf, gradient, x_ref, gamma = sdf_and_gradient(model, x, z, differentiable=True)
     on = len(pixels) + len(surface)
     length = gradient.norm(dim=-1)
@@ -89,36 +91,37 @@ def shape_losses(
 
     seen = len(pixels)
     # The renderer sees the model's own normals, as in the fit, but does not shape the surface through them here.
-    colour = model.render(x_ref[:seen], normals[:seen].detach(), view, gamma[:seen], code(codes.z_r, c.pixels))
+    z_r = batch.codes(codes.z_r, c.pixels)
+    colour = model.render(x_ref[:seen], normals[:seen].detach(), view, gamma[:seen], z_r)
 
-    loose, loose_sdf = draw((data.volume, data.volume_sdf), scenes, c.volume_no_gradient, generator)
-    loose_prediction, _, _ = model(loose, code(codes.z_sdf, c.volume_no_gradient))
+    loose, loose_sdf = batch.draw((data.volume, data.volume_sdf), c.volume_no_gradient)
+    loose_prediction, _, _ = model(loose, batch.codes(codes.z_sdf, c.volume_no_gradient))
     prediction, truth = torch.cat([sdf[on:], loose_prediction]), torch.cat([volume_sdf, loose_sdf])
 
-    (anchors,) = draw_anchors(data, scenes, c.anchors, generator)
-    anchor_delta, _ = model.deform(anchors.flatten(0, 1), code(codes.z_sdf, anchors.shape[1]))
-    anchor_ref = anchors + anchor_delta.view_as(anchors)
-    delta = torch.cat([x_ref - x, anchor_delta])
+    anchors = batch.same_of_all(data.anchors, c.anchors, always=LANDMARKS)
+    known = torch.isfinite(anchors).all(-1, keepdim=True)
+    anchors = torch.where(known, anchors, 0.0)
+    anchor_delta, _ = model.deform(anchors.flatten(0, 1), batch.codes(codes.z_sdf, anchors.shape[1]))
+    anchor_delta = torch.where(known, anchor_delta.view_as(anchors), 0.0)
+    delta = torch.cat([x_ref - x, anchor_delta.flatten(0, 1)])
     return {
         "surface": sdf[:on].abs().mean(),
         "eikonal": ((length - 1.0) ** 2).mean(),
-        "deformation": delta.norm(dim=-1).mean() + delta.mean(0).norm(),
+        "deformation": delta.norm(dim=-1).mean() + share.mean(delta.mean(0)).norm(),
         # Mean over pairs i != j of |a_i - a_j|^2 is 2 B / (B - 1) times the spread about the batch mean.
-        "landmark": 2.0
-        * count
-        / max(count - 1, 1)
-        * (anchor_ref - anchor_ref.mean(0, keepdim=True)).square().sum(-1).mean(),
+        "landmark": 2.0 * count / max(count - 1, 1) * _spread(anchors + anchor_delta, known, share),
         "colour": (colour - srgb_encode(rgb)).abs().mean(),
-        "embedding": codes.z_sdf[scenes].square().sum(-1).mean() + codes.z_r[scenes].square().sum(-1).mean(),
+        "embedding": sum(batch.codes(table).square().sum(-1).mean() for table in (codes.z_sdf, codes.z_r)),
         "sdf": (prediction.clamp(-c.clamp, c.clamp) - truth.clamp(-c.clamp, c.clamp)).abs().mean(),
         "normal": (1.0 - (normals[:on] * true_normals).sum(-1)).mean(),
     }
 
 
-def draw_anchors(data, scenes, count, generator):
-    """The same `count` anchors of every drawn scene, (B, count, 3)."""
-    index = torch.randperm(data.anchors.shape[1], generator=generator, device=generator.device)[:count]
-    return (data.anchors[scenes][:, index],)
+def _spread(points: Tensor, known: Tensor, share: Share) -> Tensor:
+    """Mean squared distance of known points (b, A, 3) from their mean over all scenes of the step."""
+    weight = known.float()
+    mean = share.mean((weight * points).sum(0)) / share.mean(weight.sum(0)).clamp_min(1e-6)
+    return (weight * (points - mean).square()).sum() / share.mean(weight.sum()).clamp_min(1e-6)
 
 
 def train_shape(
@@ -130,52 +133,42 @@ def train_shape(
     device: str | torch.device = "cpu",
     resume: bool = False,
     save_every: int = 500,
+    scenes_digest: str = "",
+    share: Share = Share(),
     report: Callable[[int, dict[str, float]], None] = lambda step, losses: None,
-) -> tuple[ShapeAppearanceModel, ShapeCodes]:
+) -> tuple[ShapeAppearanceModel, ShapeCodes, float]:
     """Train SA-SM, keeping `folder/shape.safetensors` up to date; with `resume` go on from it exactly.
+
+    Parameters
+    ----------
+    scenes_digest : says which scenes `data` is; a checkpoint of others is refused
+    share : this process' part of every step
 
     Returns
     -------
-    model, codes
+    model, codes, seconds of all sessions together
     """
     torch.manual_seed(config.seed)
     model = ShapeAppearanceModel(model_config).to(device)
     codes = new_codes(len(data), model_config, config.seed)
     codes = ShapeCodes(*(nn.Parameter(code.data.to(device)) for code in (codes.z_sdf, codes.z_r)))
-    optimiser = torch.optim.Adam(
-        [
-            {"params": list(model.parameters()), "lr": config.rate},
-            {"params": [codes.z_sdf, codes.z_r], "lr": config.code_rate},
-        ]
-    )
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda s: learning_rate(s, config.steps))
-    tensors = {"model": model.state_dict(), "codes": {"z_sdf": codes.z_sdf.data, "z_r": codes.z_r.data}}
-    path = Path(folder) / "shape.safetensors"
-    start = 0
-    if resume and path.exists():
-        start = load_checkpoint(path, tensors, optimiser, schedule)
-    for step in range(start, config.steps):
-        losses = shape_losses(model, codes, data, config, step)
-        total = sum(getattr(config, name, 1.0) * value for name, value in losses.items() if name != "surface")
-        total = total + losses["surface"]
-        optimiser.zero_grad(set_to_none=True)
-        total.backward()
+    trainee = Trainee(model, {"z_sdf": codes.z_sdf, "z_r": codes.z_r}, config.rate, config.code_rate)
+
+    def hold_deformation(step: int) -> None:
         if step < config.reference_steps:
-            for parameter in model.deformation.parameters():
+            for parameter in (*model.deformation.parameters(), codes.z_sdf):
                 parameter.grad = None
-            codes.z_sdf.grad = None
-        nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        optimiser.step()
-        schedule.step()
-        if (step + 1) % 50 == 0 or step + 1 == config.steps:
-            report(step + 1, {name: float(value.detach()) for name, value in losses.items()})
-        if (step + 1) % save_every == 0 or step + 1 == config.steps:
-            save_checkpoint(path, tensors, optimiser, schedule, step + 1)
-    return model, codes
 
-
-def learning_rate(step: int, steps: int) -> float:
-    """Factor of the rate: 100 steps of warm-up, then a cosine to a fiftieth."""
-    warm = min(1.0, (step + 1) / 100)
-    fraction = min(step / max(steps, 1), 1.0)
-    return warm * (0.02 + 0.98 * 0.5 * (1.0 + float(torch.cos(torch.tensor(torch.pi * fraction)))))
+    names = ("eikonal", "deformation", "landmark", "colour", "embedding", "sdf", "normal")
+    seconds = train(
+        trainee,
+        lambda step: shape_losses(model, codes, data, config, step, share),
+        {"surface": 1.0} | {name: getattr(config, name) for name in names},
+        Path(folder) / "shape.safetensors",
+        LoopConfig(config.steps, save_every, resume),
+        run_digest=digest("SA-SM", model_config, config, len(data), scenes_digest),
+        share=share,
+        after_backward=hold_deformation,
+        report=report,
+    )
+    return model, codes, seconds

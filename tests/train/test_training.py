@@ -1,15 +1,21 @@
 """The losses are what the paper says, and a stopped training goes on exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
+from sira_assets.errors import InputError
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
 from sira_assets.numerics.srgb import srgb_encode
 from sira_assets.train.appearance import AppearanceTrainConfig, train_appearance
-from sira_assets.train.batches import SampleTensors, draw, stack, step_generator
+from sira_assets.train.batches import Batch, SampleTensors, open_stack, stack, step_generator, write_stack
+from sira_assets.train.guard import GuardedOptimiser
+from sira_assets.train.loop import learning_rate
+from sira_assets.train.parallel import Share
 from sira_assets.train.scenes import SceneSamples
-from sira_assets.train.shape import ShapeTrainConfig, learning_rate, new_codes, shape_losses, train_shape
+from sira_assets.train.shape import ShapeTrainConfig, new_codes, shape_losses, train_shape
 
 MODEL = ShapeConfig(code_size=4, appearance_code_size=4, feature_size=2, deformation_width=16, reference_width=24)
 SHORT = ShapeTrainConfig(
@@ -99,7 +105,7 @@ def test_training_brings_the_losses_down(spheres, tmp_path):
 
 
 def test_a_resumed_training_is_the_same_training(spheres, tmp_path):
-    whole, _ = train_shape(spheres, tmp_path / "a", model_config=MODEL, config=SHORT)
+    whole, *_ = train_shape(spheres, tmp_path / "a", model_config=MODEL, config=SHORT)
 
     class Stop(Exception):
         pass
@@ -117,20 +123,20 @@ def test_a_resumed_training_is_the_same_training(spheres, tmp_path):
             save_every=6,
             report=stop,
         )
-    resumed, _ = train_shape(spheres, tmp_path / "b", model_config=MODEL, config=SHORT, resume=True)
+    resumed, *_ = train_shape(spheres, tmp_path / "b", model_config=MODEL, config=SHORT, resume=True)
     for a, b in zip(whole.parameters(), resumed.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
 
 def test_appearance_training_learns_and_resumes(spheres, tmp_path):
-    shape, codes = train_shape(spheres, tmp_path / "s", model_config=MODEL, config=SHORT)
+    shape, codes, _ = train_shape(spheres, tmp_path / "s", model_config=MODEL, config=SHORT)
     config = AppearanceTrainConfig(steps=60, scenes_per_step=2, pixels=64, supervision=1.0)
     first, last = {}, {}
 
     def report(step, losses):
         (first if not first else last).update(losses)
 
-    whole, _ = train_appearance(spheres, shape, codes, tmp_path / "a", config=config, report=report)
+    whole, *_ = train_appearance(spheres, shape, codes, tmp_path / "a", config=config, report=report)
     assert last["supervision"] < first["supervision"]
     train_appearance(
         spheres,
@@ -140,17 +146,55 @@ def test_appearance_training_learns_and_resumes(spheres, tmp_path):
         config=AppearanceTrainConfig(**{**vars(config), "steps": 60}),
         save_every=30,
     )
-    again, _ = train_appearance(spheres, shape, codes, tmp_path / "b", config=config, resume=True)
+    again, *_ = train_appearance(spheres, shape, codes, tmp_path / "b", config=config, resume=True)
     for a, b in zip(whole.parameters(), again.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
 
 def test_steps_draw_the_same_samples_whenever_they_are_drawn(spheres):
-    a = draw((spheres.pixels,), torch.tensor([0, 2]), 5, step_generator(3, 17))
+    a = Batch.of_step(3, 17, 2, len(spheres)).draw((spheres.pixels,), 5)
     step_generator(3, 16)
-    b = draw((spheres.pixels,), torch.tensor([0, 2]), 5, step_generator(3, 17))
+    b = Batch.of_step(3, 17, 2, len(spheres)).draw((spheres.pixels,), 5)
     torch.testing.assert_close(a[0], b[0], rtol=0, atol=0)
     assert a[0].shape == (10, 3)
+
+
+def test_processes_draw_the_parts_of_one_step(spheres):
+    whole = Batch.of_step(0, 5, 4, len(spheres))
+    parts = [Batch.of_step(0, 5, 4, len(spheres), Share(rank, 2)) for rank in (0, 1)]
+
+    def drawn(batch):
+        return (
+            batch.draw((spheres.pixels, spheres.pixel_rgb), 7)[1],
+            batch.same_of_all(spheres.anchors, 12, always=9).flatten(0, 1),
+            batch.normal(7, 3),
+            batch.codes(torch.arange(4.0)[:, None], 2),
+        )
+
+    for one, *two in zip(drawn(whole), *map(drawn, parts), strict=True):
+        torch.testing.assert_close(one, torch.cat(two), rtol=0, atol=0)
+
+
+def test_a_stack_on_disk_is_the_stack_in_memory(tmp_path):
+    scenes = [sphere_scene(r, i) for i, r in enumerate((0.8, 1.0))]
+    write_stack(scenes, tmp_path)
+    for name, column in vars(open_stack(tmp_path)).items():
+        torch.testing.assert_close(column, getattr(stack(scenes), name), rtol=0, atol=0)
+
+
+def test_a_scan_without_correspondences_only_gives_its_landmarks(spheres):
+    """Landmarks of a scan with nine anchors count like those of the others; the rest of its row is unknown."""
+    few = sphere_scene(0.7, 8)
+    data = stack([sphere_scene(1.0, 3), replace(few, anchors=few.anchors[:9])])
+    assert torch.isnan(data.anchors[1, 9:]).all()
+    model = ShapeAppearanceModel(MODEL)
+    with torch.no_grad():
+        model.deformation.out.weight.zero_()
+        model.deformation.out.bias.zero_()
+    losses = shape_losses(model, new_codes(2, MODEL, 0), data, replace(SHORT, anchors=20), 0)
+    # Nine anchors known twice, eleven once (which are their own mean): 2 B/(B-1) = 4 times (0.15^2 * 18) / (18 + 11).
+    assert losses["landmark"].item() == pytest.approx(4.0 * 0.15**2 * 18 / 29, rel=1e-4)
+    assert all(torch.isfinite(value) for value in losses.values())
 
 
 def test_srgb_encoding_of_known_values():
@@ -168,3 +212,92 @@ def test_learning_rate_warms_up_and_falls_to_a_fiftieth():
     assert learning_rate(0, 1000) == pytest.approx(0.01)
     assert learning_rate(100, 1000) > 0.95
     assert learning_rate(1000, 1000) == pytest.approx(0.02)
+
+
+def test_a_checkpoint_of_another_run_is_refused(spheres, tmp_path):
+    train_shape(spheres, tmp_path, model_config=MODEL, config=SHORT)
+    for changed in ({"config": replace(SHORT, colour=0.4)}, {"config": SHORT, "scenes_digest": "others"}):
+        with pytest.raises(InputError, match="this very run"):
+            train_shape(spheres, tmp_path, model_config=MODEL, resume=True, **changed)
+
+
+def test_seconds_of_all_sessions_are_counted(spheres, tmp_path):
+    from safetensors import safe_open
+
+    train_shape(spheres, tmp_path, model_config=MODEL, config=SHORT)
+    with safe_open(tmp_path / "shape.safetensors", "pt") as file:
+        first = float(file.metadata()["seconds"])
+    *_, both = train_shape(spheres, tmp_path, model_config=MODEL, config=SHORT, resume=True)
+    assert both > first > 0
+
+
+def test_a_step_that_is_not_finite_goes_back_to_the_last_finite_state():
+    x = torch.nn.Parameter(torch.tensor([1.0, 2.0]))
+    guard = GuardedOptimiser(torch.optim.SGD([x], lr=0.5), most_refusals=3)
+    assert guard.backward(x.square().sum())
+    assert guard.step()
+    torch.testing.assert_close(x.detach(), torch.zeros(2))
+    assert not guard.backward(x.sum() * torch.nan)
+    torch.testing.assert_close(x.detach(), torch.tensor([1.0, 2.0]))  # kept before the first step
+    assert guard.backward(torch.sqrt(x - x.detach()).sum())  # finite value, infinite gradient
+    assert not guard.step()
+    assert not guard.exhausted
+    guard.backward(x.sum() * torch.inf)
+    assert guard.exhausted
+    assert torch.isfinite(x).all()
+
+
+def test_training_that_cannot_be_finite_says_so(spheres, tmp_path):
+    broken = replace(spheres, pixel_rgb=torch.full_like(spheres.pixel_rgb, torch.nan))
+    with pytest.warns(UserWarning, match="not finite"), pytest.raises(InputError, match="not finite"):
+        train_shape(broken, tmp_path, model_config=MODEL, config=SHORT)
+
+
+PARALLEL = """
+import sys, torch
+sys.path.insert(0, {tests!r})
+from test_training import MODEL, SHORT, sphere_scene
+from dataclasses import replace
+from sira_assets.fields.sa_sm import ShapeAppearanceModel
+from sira_assets.train.batches import stack
+from sira_assets.train.parallel import joined_share
+from sira_assets.train.shape import new_codes, shape_losses
+from sira_assets.train.appearance import AppearanceTrainConfig, appearance_losses, new_appearance_codes
+from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
+
+data = stack([sphere_scene(r, i) for i, r in enumerate((0.8, 0.9, 1.0, 1.1))])
+with joined_share() as share:
+    torch.manual_seed(0)
+    model, codes = ShapeAppearanceModel(MODEL), new_codes(4, MODEL, 0)
+    af = AppearanceFactorModel(AppearanceConfig(lobes=3), feature_size=2)
+    af_codes = new_appearance_codes(4, AppearanceConfig(), 0)
+    parameters = [*model.parameters(), codes.z_sdf, codes.z_r]
+    sum(shape_losses(model, codes, data, replace(SHORT, scenes_per_step=4), 3, share).values()).backward()
+    share.average_gradients(parameters)
+    own = [*af.parameters(), af_codes.z_a, af_codes.z_s, af_codes.z_l]
+    config = AppearanceTrainConfig(scenes_per_step=4, pixels=32, supervision=0.5)
+    sum(appearance_losses(af, af_codes, model, codes, data, config, 3, share).values()).backward()
+    share.average_gradients(own)
+    if share.leads:
+        torch.save([p.grad for p in parameters + own], {out!r})
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_have_the_gradient_of_one(tmp_path):
+    """torchrun with gloo: all terms, those over the whole step included, to float32 rounding."""
+    import subprocess
+    import sys
+    from pathlib import Path
+
+    gradients = []
+    for size in (1, 2):
+        out = tmp_path / f"{size}.pt"
+        script = tmp_path / f"{size}.py"
+        script.write_text(PARALLEL.format(tests=str(Path(__file__).parent), out=str(out)))
+        command = [sys.executable, "-m", "torch.distributed.run", f"--nproc-per-node={size}", "--standalone"]
+        done = subprocess.run([*command, str(script)], capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr[-2000:]
+        gradients.append(torch.load(out, weights_only=True))
+    for one, two in zip(*gradients, strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-6)  # float32 sums in another order
