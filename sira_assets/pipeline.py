@@ -151,6 +151,7 @@ def run(
         geometry.canonical_from_world,
         portrait.metres_per_unit,
         portrait.name,
+        portrait.camera,
     )
     view = stage(
         "render", render_view, head, surface, portrait.camera, geometry.canonical_from_world, light, device=device

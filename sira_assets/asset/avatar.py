@@ -10,6 +10,7 @@ import numpy as np
 
 from sira_assets.errors import InputError
 from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.scene.camera import Camera
 from sira_assets.scene.sg_light import SGLight
 from sira_assets.texture.atlas import Atlas
 from sira_assets.texture.texture_set import TextureSet
@@ -29,6 +30,7 @@ class Avatar:
     canonical_from_world : (4, 4) similarity into the canonical head frame
     metres_per_unit : length of one world unit, metres
     name : one line, names the node, the mesh and the material
+    camera : the portrait's, in the scene's world; None where there is none
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Avatar:
     canonical_from_world: np.ndarray
     metres_per_unit: float = 1.0
     name: str = "avatar"
+    camera: Camera | None = None
 
     def __post_init__(self):
         faces, faces_uv = self.mesh.faces, self.atlas.faces_uv

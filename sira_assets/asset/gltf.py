@@ -15,6 +15,7 @@ from sira_assets.asset.glb_file import GlbFile
 from sira_assets.asset.png import encode_png
 from sira_assets.asset.split import split_at_seams
 from sira_assets.atomic import write_bytes
+from sira_assets.scene.camera import Camera
 from sira_assets.texture.tangents import tangents
 
 FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
@@ -96,7 +97,8 @@ def _material(avatar: Avatar, file: GlbFile) -> dict:
 
 
 def _extras(avatar: Avatar) -> dict:
-    """What glTF has no place for: unit, canonical frame, light."""
+    """What glTF has no place for: unit, canonical frame, light, and the portrait's camera with its principal point."""
+    camera = {} if avatar.camera is None else {"camera": _camera(avatar.camera)}
     return {
         "units": "scene world units; metres_per_unit gives their length",
         "metres_per_unit": float(avatar.metres_per_unit),
@@ -106,6 +108,18 @@ def _extras(avatar: Avatar) -> dict:
             "model": "sum amplitude exp(sharpness (w . axis - 1))",
             **avatar.light.to_dict(),
         },
+        **camera,
+    }
+
+
+def _camera(camera: Camera) -> dict:
+    return {
+        "frame": "scene world",
+        "model": "pinhole, OpenCV axes (x right, y down, z forward), pixel centres at +0.5",
+        "intrinsics": camera.intrinsics.tolist(),
+        "world_from_camera": camera.world_from_camera.tolist(),
+        "width": int(camera.width),
+        "height": int(camera.height),
     }
 
 

@@ -15,6 +15,7 @@ from sira_assets.asset.encoding import decode_normal, decode_srgb, encode_srgb
 from sira_assets.asset.glb_file import GlbFile
 from sira_assets.asset.gltf import glb_bytes, write_glb
 from sira_assets.asset.split import split_at_seams
+from sira_assets.scene.camera import Camera
 from sira_assets.scene.sg_light import SGLight
 
 
@@ -210,3 +211,16 @@ def test_khronos_validator_has_nothing_to_say(which, request, tmp_path):
     unused = [{"code": "UNUSED_OBJECT", "pointer": "/meshes/0/primitives/0/attributes/TEXCOORD_0"}]
     said = [{"code": m["code"], "pointer": m["pointer"]} for m in messages]
     assert said == ([] if which == "avatar" else unused)
+
+
+def test_extras_carry_the_portraits_camera():
+    lens = np.array([[700.25, 0.0, 251.5], [0.0, 690.0, 260.125], [0.0, 0.0, 1.0]])
+    pose = np.eye(4)
+    pose[:3, 3] = [0.1, -0.2, 0.7]
+    camera = Camera(lens, pose, 512, 480)
+    extras = read_glb(glb_bytes(dataclasses.replace(avatar_of(smooth_maps()), camera=camera))).document["scenes"][0]
+    said = extras["extras"]["camera"]
+    # JSON holds every digit of a double.
+    assert (np.array(said["intrinsics"]) == camera.intrinsics).all()
+    assert (np.array(said["world_from_camera"]) == camera.world_from_camera).all()
+    assert (said["width"], said["height"]) == (512, 480)
