@@ -47,6 +47,7 @@ def keep_geometry(fit: GeometryFit, folder: Path, key: str) -> None:
         "history": fit.history,
         "pose_change_deg": fit.pose_change_deg,
         "pose_change_m": fit.pose_change_m,
+        "warnings": fit.warnings,
         "seconds": fit.seconds,
     }
     with replacing(folder / "geometry.safetensors") as temporary:
@@ -74,6 +75,7 @@ def kept_geometry(folder: Path, key: str, *, device: str | torch.device = "cpu")
         tuple((step, losses) for step, losses in facts["history"]),
         facts["pose_change_deg"],
         facts["pose_change_m"],
+        tuple(facts["warnings"]),
         facts["seconds"],
     )
 

@@ -102,10 +102,10 @@ def _brought_to(array: np.ndarray, length: int, name: str) -> np.ndarray:
     return array[np.linspace(0, len(array) - 1, length).round().astype(int)]
 
 
-def step_generator(seed: int, step: int) -> torch.Generator:
-    """The random generator of one training step: a function of seed and step only, the same on every device."""
+def step_generator(seed: int, step: int, device: str | torch.device = "cpu") -> torch.Generator:
+    """The random generator of one step: a function of seed and step only (and of the device that it draws on)."""
     state = np.random.SeedSequence([seed, step]).generate_state(2, np.uint64)
-    return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+    return torch.Generator(device).manual_seed(int(state[0] >> np.uint64(1)))
 
 
 @dataclass(frozen=True)

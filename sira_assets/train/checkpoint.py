@@ -3,10 +3,11 @@
 Random numbers are functions of (seed, step), so no generator state is kept.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -16,13 +17,17 @@ from sira_assets.errors import InputError
 
 def save_checkpoint(
     path: Path,
-    tensors: dict[str, dict[str, Tensor]],
+    tensors: dict[str, Mapping[str, Tensor]],
     optimiser: torch.optim.Optimizer,
     step: int,
     run_digest: str,
     seconds: float,
+    facts: str = "",
 ) -> None:
-    """Write `tensors` (name -> state dict) and the optimiser's state after `step` steps and `seconds` of work."""
+    """Write `tensors` (name -> state dict) and the optimiser's state after `step` steps and `seconds` of work.
+
+    `facts` is kept as it is, for `read_header`.
+    """
     flat = {f"{name}/{key}": value for name, state in tensors.items() for key, value in state.items()}
     for index, state in optimiser.state_dict()["state"].items():
         flat |= {f"optimiser/{index}/{key}": torch.as_tensor(value) for key, value in state.items()}
@@ -30,18 +35,28 @@ def save_checkpoint(
         "step": str(step),
         "digest": run_digest,
         "seconds": repr(float(seconds)),
+        "facts": facts,
     }
     with replacing(path) as temporary:
         save_file({key: value.detach().cpu().contiguous() for key, value in flat.items()}, temporary, header)
 
 
+def read_header(path: Path) -> dict[str, str] | None:
+    """step, digest, seconds and facts of a checkpoint; None if there is none that can be read."""
+    try:
+        with safe_open(path, "pt") as file:
+            return file.metadata() or {}
+    except (SafetensorError, OSError):
+        return None
+
+
 def load_checkpoint(
     path: Path,
-    tensors: dict[str, dict[str, Tensor]],
-    optimiser: torch.optim.Optimizer,
+    tensors: dict[str, Mapping[str, Tensor]],
+    optimiser: torch.optim.Optimizer | None,
     run_digest: str,
 ) -> tuple[int, float]:
-    """Fill `tensors` (in place) and the optimiser from a checkpoint.
+    """Fill `tensors` (in place) and the optimiser, if one is given, from a checkpoint.
 
     Returns
     -------
@@ -51,26 +66,24 @@ def load_checkpoint(
     ------
     InputError : damaged, or of a run with other settings or scenes.
     """
-    from safetensors import safe_open
-
-    try:
-        flat = load_file(path)
-        with safe_open(path, "pt") as file:
-            header = file.metadata()
-    except (SafetensorError, OSError) as error:
+    header = read_header(path)
+    if header is None:
         raise InputError(
-            expected=f"a checkpoint at {path}", received=str(error), remedy="remove it, or train without --resume"
-        ) from error
+            expected=f"a checkpoint at {path}", received="a damaged file", remedy="remove it, or go without --resume"
+        )
     if header.get("digest") != run_digest:
         raise InputError(
             expected=f"a checkpoint of this very run at {path}",
             received="one of other settings or scenes",
-            remedy="give the settings it was begun with, another --run, or train without --resume",
+            remedy="give the settings it was begun with, another --run, or go without --resume",
         )
+    flat = load_file(path)
     with torch.no_grad():
         for name, state in tensors.items():
             for key, value in state.items():
                 value.copy_(flat[f"{name}/{key}"])
+    if optimiser is None:
+        return int(header["step"]), float(header["seconds"])
     state: dict[int, dict] = {}
     for key, value in flat.items():
         if key.startswith("optimiser/"):

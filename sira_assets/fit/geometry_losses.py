@@ -1,0 +1,208 @@
+"""Loss terms of the single-view geometry fit.
+
+Notation: as in fit/geometry.py and render/tracing.py.
+"""
+
+import copy
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from sira_assets.fields.head_field import BOUNDS_M
+from sira_assets.fields.mlp import UNIT_M
+from sira_assets.fields.prior import Prior, freeze
+from sira_assets.fields.sa_sm import sdf_and_gradient
+from sira_assets.fit.kept_rays import KeptRays
+from sira_assets.fit.pixels import CUT_Y_M
+from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.render.tracing import differentiable_hit
+
+# Over this distance (network units: 1 cm) the change of the deformation should be even.
+SLOPE_REACH = 0.1
+
+
+@dataclass(frozen=True)
+class GeometryFitConfig:
+    """Steps, rays and weights.
+
+    Rays are kept and followed: each step moves a kept ray's hit by one Newton step, and all are traced anew every
+    `retrace` steps.
+    """
+
+    steps_appearance: int = 80
+    steps_codes: int = 200
+    steps_networks: int = 320
+    pool: int = 6000
+    band_pool: int = 2500
+    rays: int = 1000
+    band_rays: int = 400
+    retrace: int = 40
+    rate_codes: float = 0.04
+    rate_appearance_codes: float = 0.08
+    rate_pose: float = 0.004
+    rate_networks: float = 1.5e-4
+    colour: float = 1.0
+    silhouette: float = 0.5
+    # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
+    alpha: float = 50.0
+    reach: float = 0.1
+    reach_networks: float = 0.8
+    # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
+    # a hole in the render.
+    cover: float = 8.0
+    prior: float = 1.0e-3
+    appearance_prior: float = 3.0e-6
+    eikonal: float = 0.05
+    # Phase B stays near phase A: squared change of the deformation over the surface and around it.
+    anchor: float = 4.0
+    slope: float = 0.1
+    pose: float = 2.0e-3
+    # A ray whose kept hit is further than this off the surface waits for the next retrace.
+    lost: float = 0.08
+    seed: int = 0
+
+
+class GeometryLosses:
+    """The loss terms of every step, and what they read: all tensors in it change in place."""
+
+    def __init__(self, config: GeometryFitConfig, prior: Prior, inside: KeptRays, edge: KeptRays, *, refine_pose: bool):
+        device = inside.t.device
+        self.config, self.prior, self.inside, self.edge, self.refine_pose = config, prior, inside, edge, refine_pose
+        self.model = copy.deepcopy(prior.shape)
+        freeze(self.model)
+        # Phase A's end, from which phase B should not stray.
+        self.before = copy.deepcopy(self.model)
+        self.before_z = prior.z_sdf.mean.clone()
+        self.networks_open = False
+        zeros = lambda n: nn.Parameter(torch.zeros(n, device=device))  # noqa: E731
+        self.coefficients, self.appearance = zeros(prior.z_sdf.basis.shape[1]), zeros(prior.z_r.basis.shape[1])
+        self.pose = PoseCorrection(zeros(3), zeros(3))
+
+    def codes(self) -> tuple[Tensor, Tensor]:
+        """z_sdf and z_r."""
+        return self.prior.z_sdf.code(self.coefficients), self.prior.z_r.code(self.appearance)
+
+    def state(self) -> dict[str, Tensor]:
+        """All that the fit's steps change."""
+        own = {
+            "coefficients": self.coefficients,
+            "appearance": self.appearance,
+            "rotation": self.pose.rotation,
+            "translation": self.pose.translation,
+            "before_z": self.before_z,
+        }
+        for name, rays in (("inside", self.inside), ("edge", self.edge)):
+            own |= {f"{name}_t": rays.t, f"{name}_hit": rays.hit}
+        for name, model in (("model", self.model), ("before", self.before)):
+            own |= {f"{name}.{key}": value for key, value in model.state_dict().items()}
+        return own
+
+    def network_parameters(self) -> list[nn.Parameter]:
+        """Deformation and renderer: never the reference."""
+        return [*self.model.deformation.parameters(), *self.model.renderer.parameters()]
+
+    def open_networks(self) -> None:
+        """Let gradients reach the networks, and their anchor."""
+        self.networks_open = True
+        for parameter in self.network_parameters():
+            parameter.requires_grad_(True)
+
+    @torch.no_grad()
+    def remember(self) -> None:
+        """Take the present state as phase A's end."""
+        self.before.load_state_dict(self.model.state_dict())
+        self.before_z.copy_(self.codes()[0])
+
+    @torch.no_grad()
+    def retrace(self) -> None:
+        """Trace all kept rays."""
+        z_sdf = self.codes()[0]
+        self.inside.retrace(self.model, z_sdf, self.pose)
+        self.edge.retrace(self.model, z_sdf, self.pose)
+        self.edge.deepest(self.model, z_sdf, self.pose)
+
+    def losses(self, generator: torch.Generator, *, geometry: bool) -> dict[str, Tensor]:
+        """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
+        c = self.config
+        z_sdf, z_r = self.codes()
+        chosen = self.inside.draw(c.rays, generator, (self.inside.hit & self.inside.rays.usable).float())
+        rays = self.inside.rays.select(chosen)
+        origins, directions = corrected(self.pose, rays.origins, rays.directions)
+        x0 = origins + self.inside.t[chosen, None] * directions
+        if not geometry:
+            with torch.no_grad():
+                z_sdf = z_sdf.detach()
+            _, gradient, x_ref, gamma = sdf_and_gradient(self.model, x0.detach(), z_sdf, differentiable=False)
+            normals, x_ref, gamma = nn.functional.normalize(gradient.detach(), dim=-1), x_ref.detach(), gamma.detach()
+            colour = self.model.render(x_ref, normals, -directions.detach(), gamma, z_r)
+            return {
+                "colour": c.colour * (colour - rays.rgb).abs().mean(),
+                "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
+            }
+        f, gradient, _, _ = sdf_and_gradient(self.model, x0, z_sdf, differentiable=True)
+        length = gradient.norm(dim=-1)
+        normals = gradient / length.clamp_min(1e-6)[:, None]
+        x = differentiable_hit(x0, directions, f, gradient)
+        on = (f.detach().abs() < c.lost).float()
+        with torch.no_grad():
+            self.inside.t[chosen] += ((x - x0) * directions).sum(-1).clamp(-c.lost, c.lost)
+        delta, gamma = self.model.deform(x, z_sdf)
+        colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
+        losses = {
+            "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
+            "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
+            "prior": c.prior * self.coefficients.square().sum(),
+            "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
+        }
+        if self.refine_pose:
+            sigma = self.appearance.new_tensor(POSE_SIGMA)
+            scaled = torch.cat([self.pose.rotation, self.pose.translation]) / sigma
+            losses["pose"] = c.pose * scaled.square().sum()
+        if self.networks_open:
+            losses["eikonal"] = c.eikonal * ((length - 1.0) ** 2).mean()
+            far, uneven = self._anchor(x.detach(), z_sdf, generator)
+            losses["anchor"], losses["slope"] = c.anchor * far, c.slope * uneven
+        return losses
+
+    def _silhouette(self, z_sdf: Tensor, generator: torch.Generator) -> Tensor:
+        """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
+        c = self.config
+        # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside.
+        hit, inside = self.edge.hit, self.edge.rays.in_mask
+        chance = torch.where(hit & inside, 0.0, torch.where(hit == inside, 0.2, 1.0))
+        chosen = self.edge.draw(c.band_rays, generator, chance)
+        rays = self.edge.rays.select(chosen)
+        origins, directions = corrected(self.pose, rays.origins, rays.directions)
+        x = origins + self.edge.t[chosen, None] * directions
+        f, _, _ = self.model(x, z_sdf)
+        target = rays.in_mask.float()
+        logits = -c.alpha * f
+        off = nn.functional.binary_cross_entropy_with_logits(logits, target, reduction="none") / c.alpha
+        # Saturating: hair and clothes that no code can reach must not bend the face. The networks can reach further.
+        reach = c.reach_networks if self.networks_open else c.reach
+        robust = reach * off / (reach + off)
+        weight = torch.where(rays.in_mask & self.networks_open, c.cover, 1.0)
+        return 10.0 * chance.mean() * (weight * robust).sum() / max(len(chosen), 1)
+
+    def _anchor(self, x: Tensor, z_sdf: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """How far, squared, and how unevenly the deformation changed since phase A, on the seen surface and around it.
+
+        The second term is the squared slope of the change: it lets features move and keeps spikes (an ear drawn out
+        into hair) from growing.
+        """
+        low, high = (x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
+        random = torch.rand(256, 3, generator=generator, device=x.device)
+        edge = self.edge.draw(256, generator, torch.ones_like(self.edge.t))
+        band = self.edge.rays.origins[edge] + self.edge.t[edge, None] * self.edge.rays.directions[edge]
+        points = torch.cat([x[:384], band, low + (high - low) * random])
+        away = SLOPE_REACH * torch.randn(points.shape, generator=generator, device=x.device)
+        both = torch.cat([points, points + away])
+        with torch.no_grad():
+            before, _ = self.before.deform(both, self.before_z)
+        now, _ = self.model.deform(both, z_sdf)
+        here, there = (now - before).chunk(2)
+        slope = (there - here).square().sum(-1) / away.square().sum(-1)
+        # Below the chin are collars and scarves, which stand off the neck that the prior knows.
+        held = torch.where(points[:, 1] * UNIT_M < CUT_Y_M, 0.1, 1.0)
+        return (held * here.square().sum(-1)).mean(), (held * slope).mean()
