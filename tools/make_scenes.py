@@ -24,6 +24,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--size", type=int, default=256, help="width and height in pixels (default 256)")
     out.add_argument("--samples", type=int, default=64, help="light directions a sample point (default 64)")
     out.add_argument("--supersample", type=int, default=1, help="sample points a pixel: 1, 4, 9, 16 (default 1)")
+    out.add_argument("--truth", choices=("full", "train"), default="full", help="train: only what training reads")
     out.add_argument("--workers", type=int, default=2, help="processes, one thread each (default 2)")
     out.add_argument("--preview", action="store_true", help="also write DIR/preview.png, a contact sheet")
     out.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
@@ -38,7 +39,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def make_scenes(arguments: argparse.Namespace) -> int:
     """Write the scenes that are missing, with a progress bar on stderr."""
-    from data_synth.dataset import SceneSettings, claim_folder, scene_name, write_dataset
+    from data_synth.dataset import claim_folder, write_dataset
+    from data_synth.scene_settings import SceneSettings, scene_name
     from sira_assets.errors import InputError
 
     if arguments.count < 1 or arguments.start < 0 or arguments.workers < 1:
@@ -54,6 +56,7 @@ def make_scenes(arguments: argparse.Namespace) -> int:
         size=arguments.size,
         samples=arguments.samples,
         supersample=arguments.supersample,
+        truth=arguments.truth,
     )
     indices = range(arguments.start, arguments.start + arguments.count)
     claim_folder(arguments.out, settings)  # here, so that a refusal is not printed into the progress bar

@@ -1,6 +1,6 @@
 """Train the prior (SA-SM and AF-SM) on a folder of scenes.
 
-python tools/make_scenes.py --count 240 --out scenes
+python tools/make_scenes.py --count 240 --truth train --out scenes
 python tools/train_prior.py --scenes scenes --out prior.safetensors --run runs/prior
 """
 

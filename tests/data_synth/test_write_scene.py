@@ -4,17 +4,24 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from data_synth.cameras import CameraConfig, sample_cameras
+from data_synth.dataset import remove_leftovers
 from data_synth.lights import sample_rig
 from data_synth.render import RayScene, RenderConfig, Surface, render
-from data_synth.write_scene import SynthScene, ply_bytes, write_scene
+from data_synth.scene_settings import SceneSettings
+from data_synth.synth_scene import SynthScene
+from data_synth.truth import BACKGROUND, full_truth
+from data_synth.write_scene import write_scene
+from data_synth.write_truth import ply_bytes
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, similarity_scale, transform_points
 from sira_assets.scene.exr import read_exr
 from sira_assets.scene.image import read_image, read_mask
 from sira_assets.scene.read_scene import read_frames, read_scene
 from sira_assets.scene.sg_light import SGLight
+from sira_assets.train.scenes import SampleConfig, sample_scene
 
 ALBEDO = np.array([0.5, 0.3, 0.2])
 
@@ -38,8 +45,12 @@ def scene() -> SynthScene:
     renderings = [render(rays, camera, light, rng, RenderConfig(8, 4)) for camera in cameras]
     second = SGLight([[0, 0, 1]], [10.0], [[1, 1, 1]])
     names = {n: transform_points(world_from_canonical, np.array(p)) for n, p in CANONICAL_LANDMARKS_M.items()}
+    full = full_truth(
+        rays, cameras, light, mesh, mesh, lambda c: (c[:, 2] > 0).astype(int), {0: "back", 1: "front"}, rng, 16
+    )
     return SynthScene(
         mesh=mesh,
+        closed=mesh,
         vertex_albedo=np.broadcast_to(ALBEDO, x.shape),
         cameras=cameras,
         renderings=renderings,
@@ -50,6 +61,7 @@ def scene() -> SynthScene:
         landmarks68_world=np.zeros((68, 3)),
         anchors_world=x[:5],
         relight=(second, render(rays, cameras[0], second, rng, RenderConfig(8))),
+        full=full,
         provenance={"index": 0},
     )
 
@@ -147,10 +159,46 @@ def test_a_failure_leaves_nothing(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_leftovers_of_an_interrupted_run_are_replaced(scene, tmp_path):
-    (tmp_path / ".train_000001.partial" / "images").mkdir(parents=True)
-    write_scene(scene, tmp_path / "train_000001")
-    assert [p.name for p in tmp_path.iterdir()] == ["train_000001"]
+def test_leftovers_of_an_interrupted_run_are_removed(tmp_path):
+    (tmp_path / ".train_000001.x7.partial" / "images").mkdir(parents=True)
+    (tmp_path / ".train_000002.x7.partial" / "images").mkdir(parents=True)
+    (tmp_path / ".train-a0b1.json").touch()
+    remove_leftovers(tmp_path, SceneSettings(), range(1, 2))
+    # Another run may be at work on other scenes of the folder.
+    assert [p.name for p in tmp_path.iterdir()] == [".train_000002.x7.partial"]
+
+
+def test_of_two_writers_of_one_scene_the_first_wins(scene, folder):
+    before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
+    write_scene(scene, folder)
+    assert {p: p.stat().st_mtime_ns for p in folder.rglob("*")} == before
+    assert [p.name for p in folder.parent.iterdir()] == [folder.name]
+
+
+def test_full_truth_reads_back(scene, folder):
+    full = scene.full
+    for k in range(len(scene.light)):
+        assert np.array_equal(read_exr(folder / "gt" / "visibility" / f"{k:03d}.exr"), full.visibility[k])
+    for k, rendering in enumerate(scene.renderings):
+        region = np.asarray(Image.open(folder / "gt" / "regions" / f"{k:03d}.png"))
+        assert np.array_equal(region != BACKGROUND, rendering.mask)
+    assert json.loads((folder / "gt" / "regions.json").read_text()) == {"0": "back", "1": "front"}
+    with np.load(folder / "gt" / "sdf.npz") as data:
+        assert np.array_equal(data["points_m"], full.sdf_points_world)
+        assert np.array_equal(data["sdf_m"], full.sdf)
+        assert data["known"].all()
+
+
+def test_the_training_truth_is_what_training_reads(scene, tmp_path):
+    import dataclasses
+
+    write_scene(dataclasses.replace(scene, full=None), tmp_path / "small")
+    names = {p.relative_to(tmp_path / "small").as_posix() for p in (tmp_path / "small").rglob("*") if p.is_file()}
+    maps = {"gt/albedo.exr", "gt/specular.exr", "gt/alpha.exr"}
+    assert {n for n in names if n.endswith(".exr")} == maps | {"relight/image.exr", "relight/envmap.exr"}
+    samples = sample_scene(tmp_path / "small", SampleConfig(surface=50, near=50, far=50, pixels_per_view=20), seed=0)
+    assert np.isfinite(samples.pixel_diffuse).any()
+    assert samples.anchors.shape == (5, 3)
 
 
 def test_files_are_named_as_in_the_real_scenes(folder, real_data):

@@ -70,7 +70,8 @@ def test_senseless_numbers_end_with_3_and_one_line(tmp_path, arguments):
 
 
 def test_a_folder_begun_with_other_settings_is_refused(tmp_path):
-    from data_synth.dataset import SceneSettings, write_dataset
+    from data_synth.dataset import write_dataset
+    from data_synth.scene_settings import SceneSettings
     from sira_assets.errors import InputError
 
     assert write_dataset(tmp_path, SceneSettings(views=2), range(0)) == 0
@@ -81,13 +82,15 @@ def test_a_folder_begun_with_other_settings_is_refused(tmp_path):
 def test_train_and_eval_may_share_a_folder_but_never_a_random_stream(tmp_path):
     import numpy as np
 
-    from data_synth.dataset import KINDS, SceneSettings, scene_name, write_dataset
+    from data_synth.dataset import write_dataset
+    from data_synth.scene_settings import SceneSettings, scene_name
 
-    for kind in KINDS:
+    kinds = ("train", "eval")
+    for kind in kinds:
         write_dataset(tmp_path, SceneSettings(kind=kind), range(0))
-    names = {scene_name(SceneSettings(kind=kind), 3) for kind in KINDS}
+    names = {scene_name(SceneSettings(kind=kind), 3) for kind in kinds}
     assert names == {"train_000003", "eval_000003"}
-    draws = [np.random.default_rng(np.random.SeedSequence(0, spawn_key=(k, 3))).integers(1 << 62) for k in (0, 1)]
+    draws = [np.random.default_rng(SceneSettings(kind=kind).stream(3)).integers(1 << 62) for kind in kinds]
     assert draws[0] != draws[1]
 
 

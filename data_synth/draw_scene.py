@@ -1,0 +1,105 @@
+"""Draw one scene: a subject, its pose, cameras and light, and the pictures of it.
+
+Notation: a scene is a function of (settings, index) alone; each of its parts has its own random stream.
+"""
+
+import numpy as np
+
+from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_canonical
+from data_synth.lights import Rig, face_luminance, sample_exposure, sample_rig
+from data_synth.render import RayScene, RenderConfig, Surface, render
+from data_synth.render_light import LUMINANCE
+from data_synth.scene_settings import SceneSettings
+from data_synth.subject import Subject, procedural_subject
+from data_synth.truth import full_truth
+from data_synth.write_scene import SynthScene
+from sira_assets.scene.canonical import similarity_scale, transform_points
+from sira_assets.scene.sg_light import SGLight
+
+# One value a scene, chosen to reach from oily to dry skin around the 0.4 to 0.5 that real heads are rendered with.
+ROUGHNESS_RANGE = (0.32, 0.52)
+FRAMED_ABOVE_M = -0.125  # canonical y: the head down to just below the chin is what cameras frame
+FACE_RADIUS_M = 0.095  # around the nose tip, as measured regions have it
+
+
+def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
+    """Draw and render scene `index`; a pure function of its arguments (and of a scan's files)."""
+    streams = settings.stream(index).spawn(5)
+    rng_head, rng_pose, rng_light, rng_render, rng_truth = (np.random.default_rng(child) for child in streams)
+    if settings.scan is None:
+        subject = procedural_subject(rng_head)
+    else:
+        from data_synth.import_scan import scan_subject
+
+        subject = scan_subject(settings.scan)
+    world_from_canonical = _pose(rng_pose, subject)
+    framed = subject.mesh.vertices[subject.mesh.vertices[:, 1] > FRAMED_ABOVE_M]
+    camera_config = CameraConfig(width=settings.size, height=settings.size)
+    cameras = sample_cameras(rng_pose, framed, world_from_canonical, settings.views, camera_config)
+
+    face = np.linalg.norm(subject.mesh.vertices - subject.landmarks["nose_tip"], axis=1) < FACE_RADIUS_M
+    rotation = world_from_canonical[:3, :3] / similarity_scale(world_from_canonical)
+    roughness = float(rng_light.uniform(*ROUGHNESS_RANGE))
+    rig, light = _exposed_light(rng_light, subject, face, rotation)
+    second_rig, second_light = _exposed_light(rng_light, subject, face, rotation)
+
+    rendered = subject.rendered.transformed(world_from_canonical)
+    rays = RayScene(Surface(rendered, subject.material_coordinates, subject.material, roughness))
+    config = RenderConfig(settings.samples, settings.supersample)
+    renderings = [render(rays, camera, light, rng_render, config) for camera in cameras]
+    relight = None
+    if settings.kind == "eval":
+        relight = (second_light, render(rays, cameras[0], second_light, rng_render, config))
+    mesh = subject.mesh.transformed(world_from_canonical)
+    closed = mesh if subject.closed is subject.mesh else subject.closed.transformed(world_from_canonical)
+    full = None
+    if settings.truth == "full":
+        names = subject.region_names
+        full = full_truth(
+            rays, cameras, light, mesh, closed, subject.regions, names, rng_truth, directions=settings.samples
+        )
+    return SynthScene(
+        mesh=mesh,
+        closed=closed,
+        vertex_albedo=subject.vertex_albedo,
+        cameras=cameras,
+        renderings=renderings,
+        light=light,
+        roughness=roughness,
+        canonical_from_world=np.linalg.inv(world_from_canonical),
+        landmarks_world={n: transform_points(world_from_canonical, p) for n, p in subject.landmarks.items()},
+        landmarks68_world=_moved(world_from_canonical, subject.landmarks68),
+        anchors_world=_moved(world_from_canonical, subject.anchors),
+        relight=relight,
+        full=full,
+        provenance={
+            "settings": settings.described(),
+            "index": index,
+            "rig": rig.name,
+            "relight_rig": second_rig.name if relight else None,
+            **subject.provenance,
+        },
+    )
+
+
+def _pose(rng: np.random.Generator, subject: Subject) -> np.ndarray:
+    """`world_from_canonical`, with the subject's own size where it has one."""
+    out = sample_world_from_canonical(rng)
+    if subject.scale is not None:
+        out[:3, :3] *= subject.scale / similarity_scale(out)
+    return out
+
+
+def _moved(matrix: np.ndarray, points: np.ndarray | None) -> np.ndarray | None:
+    return None if points is None else transform_points(matrix, points)
+
+
+def _exposed_light(
+    rng: np.random.Generator, subject: Subject, face: np.ndarray, rotation: np.ndarray
+) -> tuple[Rig, SGLight]:
+    """A rig, and its light in the world, bright enough for the face to be well exposed."""
+    rig = sample_rig(rng)
+    light = rig.light()
+    target = sample_exposure(rng, float((subject.vertex_albedo[face] @ LUMINANCE).mean()))
+    gain = target / max(face_luminance(subject.mesh, subject.vertex_albedo, light, face), 1e-6)
+    return rig, light.scaled(gain).rotated(rotation)

@@ -1,0 +1,85 @@
+"""What stands before the cameras: a procedural head or a scan, in the canonical frame.
+
+Notation: metres, canonical head frame; V vertices of the welded mesh, U of the one that is rendered.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from data_synth.render import Material
+from sira_assets.mesh.triangle_mesh import TriangleMesh
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A head ready to be placed.
+
+    Parameters
+    ----------
+    mesh : welded, outward; what gt/mesh.ply holds
+    vertex_albedo : (V, 3) linear Rec. 709
+    rendered : the same surface as the renderer takes it; a scan's vertices are split where its texture is cut
+    material_coordinates : (U, K), interpolated over triangles and handed to `material`
+    material : function of (N, K) coordinates -> diffuse albedo (N, 3) linear, specular F0 (N,)
+    landmarks : the nine canonical names -> (3,)
+    landmarks68 : (68, 3) iBUG, or None where a scan came without
+    anchors : (A, 3) points that correspond between procedural heads; (0, 3) for a scan
+    regions : function of (N, K) coordinates -> (N,) region numbers, or None
+    region_names : number -> name
+    closed : watertight mesh for signed distances, its first faces those of `mesh`; `mesh` itself where that is closed
+    scale : world metres per canonical metre, or None where it is drawn
+    provenance : for gt/provenance.json
+    """
+
+    mesh: TriangleMesh
+    vertex_albedo: np.ndarray
+    rendered: TriangleMesh
+    material_coordinates: np.ndarray
+    material: Material
+    landmarks: Mapping[str, np.ndarray]
+    landmarks68: np.ndarray | None
+    anchors: np.ndarray
+    regions: Callable[[np.ndarray], np.ndarray] | None
+    region_names: Mapping[int, str]
+    closed: TriangleMesh
+    scale: float | None
+    provenance: Mapping[str, object]
+
+
+def procedural_subject(rng: np.random.Generator) -> Subject:
+    """Draw a head from the generator's population."""
+    from data_synth.head.build import build_head
+    from data_synth.head.material import Region, region_of
+    from data_synth.head.params import sample_params
+
+    head = build_head(sample_params(rng))
+    mesh = TriangleMesh(head.vertices_m, head.faces)
+    albedo, _ = head.material(head.template_positions_m)
+    return Subject(
+        mesh=mesh,
+        vertex_albedo=albedo,
+        rendered=mesh,
+        material_coordinates=head.template_positions_m,
+        material=head.material,
+        landmarks=head.landmarks9,
+        landmarks68=head.landmarks_m,
+        anchors=head.anchors_m,
+        regions=lambda coordinates: region_of(coordinates, head.params),
+        region_names={int(region): region.name.lower() for region in Region},
+        closed=mesh,
+        scale=None,
+        provenance={"head": plain(asdict(head.params))},
+    )
+
+
+def plain(value: object) -> object:
+    """Arrays and tuples as lists, for JSON."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return value

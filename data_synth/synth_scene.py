@@ -1,0 +1,46 @@
+"""The noun between drawing a scene and writing it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.render import Rendering
+from data_synth.truth import FullTruth
+from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.scene.camera import Camera
+from sira_assets.scene.sg_light import SGLight
+
+
+@dataclass(frozen=True)
+class SynthScene:
+    """All of a synthetic scene, in its world.
+
+    Parameters
+    ----------
+    mesh : world metres; vertex_albedo (V, 3) linear
+    closed : watertight, its first faces those of `mesh`; `mesh` itself where that is closed
+    cameras, renderings : one of each a frame; all cameras have the same intrinsics
+    light, roughness : what the renderings were made with
+    canonical_from_world : (4, 4) similarity
+    landmarks_world : the nine names of the canonical frame -> (3,)
+    landmarks68_world : (68, 3) iBUG, or None; anchors_world (A, 3) dense correspondences, none for a scan
+    relight : frame 0 under a second light, or None
+    full : what `--truth full` adds, or None
+    provenance : how it was drawn; kept in gt/provenance.json
+    """
+
+    mesh: TriangleMesh
+    closed: TriangleMesh
+    vertex_albedo: np.ndarray
+    cameras: list[Camera]
+    renderings: list[Rendering]
+    light: SGLight
+    roughness: float
+    canonical_from_world: np.ndarray
+    landmarks_world: Mapping[str, np.ndarray]
+    landmarks68_world: np.ndarray | None
+    anchors_world: np.ndarray
+    relight: tuple[SGLight, Rendering] | None
+    full: FullTruth | None
+    provenance: Mapping[str, object]
