@@ -19,6 +19,7 @@ from sira_assets.errors import InputError
 from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.mesh.raycast import Raycaster
+from sira_assets.mesh.signed_distance import signed_distance
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, transform_points
 from sira_assets.scene.image import read_image, read_mask
@@ -102,6 +103,7 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
     near, _ = _on_surface(mesh, config.near, rng)
     sigma = np.where(rng.random(config.near) < 0.6, *config.near_sigma_m)[:, None]
     volume = np.concatenate([near + sigma * rng.normal(size=near.shape), rng.uniform(*BOUNDS_M, (config.far, 3))])
+    volume, volume_sdf = _distances(scene, mesh, caster, to_canonical, volume)
     anchors = _anchors(json.loads((scene / "gt" / "landmarks.json").read_text()))
     unit = 1.0 / UNIT_M
     pixels = [
@@ -115,7 +117,7 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
         surface=(surface * unit).astype(np.float32),
         surface_normals=normals.astype(np.float32),
         volume=(volume * unit).astype(np.float32),
-        volume_sdf=(caster.signed_distance(volume) * unit).astype(np.float32),
+        volume_sdf=(volume_sdf * unit).astype(np.float32),
         anchors=(transform_points(to_canonical, anchors) * unit).astype(np.float32),
         pixels=position * np.float32(unit),
         pixel_normals=normal,
@@ -124,6 +126,21 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
         pixel_diffuse=diffuse,
         pixel_specular=specular,
     )
+
+
+def _distances(scene, mesh, caster, to_canonical, points):
+    """Of `points`, those whose signed distance is known, and it. A scan that is open has a closed mesh beside it, the
+    scan's faces first; what lies nearest to one of the caps behind them tells nothing."""
+    import trimesh
+
+    path = scene / "gt" / "mesh_closed.ply"
+    if not path.exists():
+        return points, caster.signed_distance(points)
+    loaded = trimesh.load(path, process=False)
+    closed = TriangleMesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)).transformed(to_canonical)
+    distance, face = signed_distance(closed, points)
+    known = face < len(mesh.faces)
+    return points[known], distance[known]
 
 
 def _anchors(landmarks: dict) -> np.ndarray:
@@ -235,7 +252,7 @@ def scenes_digest(folder: Path) -> str:
 
 def _sample_key(scene: Path, config: SampleConfig, seed: int) -> str:
     """Changes with the configuration and whenever the scene is written anew."""
-    files = [scene / "transforms.json", scene / "gt" / "mesh.ply"]
+    files = [scene / "transforms.json", scene / "gt" / "mesh.ply", scene / "gt" / "mesh_closed.ply"]
     written = [(path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.exists()]
     return hashlib.sha256(json.dumps([SAMPLES_VERSION, asdict(config), seed, written]).encode()).hexdigest()[:12]
 

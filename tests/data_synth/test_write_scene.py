@@ -198,7 +198,7 @@ def test_the_training_truth_is_what_training_reads(scene, tmp_path):
     assert {n for n in names if n.endswith(".exr")} == maps | {"relight/image.exr", "relight/envmap.exr"}
     samples = sample_scene(tmp_path / "small", SampleConfig(surface=50, near=50, far=50, pixels_per_view=20), seed=0)
     assert np.isfinite(samples.pixel_diffuse).any()
-    assert samples.anchors.shape == (5, 3)
+    assert np.isfinite(samples.anchors).all()
 
 
 def test_files_are_named_as_in_the_real_scenes(folder, real_data):
