@@ -2,6 +2,8 @@
 
 python tools/make_scenes.py --count 240 --truth train --out scenes
 python tools/train_prior.py --scenes scenes --out prior.safetensors --run runs/prior
+
+Two processes, sharing every step: torchrun --nproc-per-node=2 tools/train_prior.py ...
 """
 
 import argparse
@@ -14,7 +16,13 @@ import _cli
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--scenes", type=Path, required=True, help="folder of scenes with gt/")
+    p.add_argument("--scenes", type=Path, help="folder of generated scenes")
+    p.add_argument(
+        "--scans",
+        type=Path,
+        metavar="DIR",
+        help="folder of your own scans' scenes (make_scenes.py --from-scan), beside --scenes or alone",
+    )
     p.add_argument("--out", type=Path, required=True, help="the prior, a .safetensors file")
     p.add_argument("--run", type=Path, default=Path("runs/prior"), help="checkpoints and loss curves")
     p.add_argument("--steps", type=int, default=None, help="steps of SA-SM")
@@ -24,6 +32,9 @@ def parser() -> argparse.ArgumentParser:
         type=float,
         default=None,
         help="weight of the scenes' exact albedo in AF-SM (0: self-supervised)",
+    )
+    p.add_argument(
+        "--bfloat16", type=float, default=None, metavar="SHARE", help="share of SA-SM's steps in bfloat16 (default 0)"
     )
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
@@ -45,6 +56,8 @@ def body(args: argparse.Namespace) -> int:
 
     base = PriorConfig()
     shape = replace(base.shape, seed=args.seed, steps=args.steps or base.shape.steps)
+    if args.bfloat16 is not None:
+        shape = replace(shape, bfloat16=args.bfloat16)
     appearance = replace(base.appearance, seed=args.seed, steps=args.appearance_steps or base.appearance.steps)
     if args.supervision is not None:
         appearance = replace(appearance, supervision=args.supervision)
@@ -52,7 +65,7 @@ def body(args: argparse.Namespace) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with contextlib.nullcontext() if args.quiet else Progress(*columns, console=Console(stderr=True)) as progress:
         train_prior(
-            args.scenes,
+            [folder for folder in (args.scenes, args.scans) if folder is not None],
             args.out,
             args.run,
             config=replace(base, shape=shape, appearance=appearance),
@@ -66,7 +79,10 @@ def body(args: argparse.Namespace) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Exit status: 0, 2 usage, 3 bad input, 130 interrupted (go on with --resume)."""
-    args = parser().parse_args(argv)
+    p = parser()
+    args = p.parse_args(argv)
+    if args.scenes is None and args.scans is None:
+        p.error("give --scenes, --scans, or both")
     return _cli.run(lambda: body(args))
 
 

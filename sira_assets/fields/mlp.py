@@ -48,7 +48,9 @@ class MLP(nn.Module):
         """Apply the layers."""
         for layer in self.hidden:
             x = nn.functional.silu(layer(x))
-        return self.out(x)
+        # Under autocast the hidden layers may run in bfloat16; a distance needs the digits of float32.
+        with torch.autocast(x.device.type, enabled=False):
+            return self.out(x.to(self.out.weight.dtype))
 
 
 def with_code(x: Float[Tensor, "N D"], code: Float[Tensor, "..."]) -> Float[Tensor, "N E"]:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -54,7 +55,7 @@ class TrainingLog:
 
 
 def train_prior(
-    scenes: Path,
+    scenes: Sequence[Path],
     out: Path,
     run: Path,
     *,
@@ -64,12 +65,14 @@ def train_prior(
     workers: int = 2,
     progress=None,
 ) -> Prior:
-    """Train both models on the scenes below a folder and write the prior to `out`.
+    """Train both models on the scenes below some folders and write the prior to `out`.
+
+    Started by torchrun, the processes share every step.
 
     Parameters
     ----------
-    scenes : folder of scenes with gt/mesh.ply and gt/landmarks.json
-    run : folder of checkpoints and loss curves; `resume` goes on from it exactly
+    scenes : folders of scenes with gt/mesh.ply and gt/landmarks.json: generated ones, imported scans, or both
+    run : folder of checkpoints, loss curves and stacked samples; `resume` goes on from it exactly
     progress : a rich Progress, or None
 
     Raises
@@ -78,7 +81,7 @@ def train_prior(
     """
     with joined_share(device) as share:
         progress = progress if share.leads else None
-        data, scenes_are = _samples(scenes, config, workers, progress, share)
+        data, scenes_are = _samples(scenes, Path(run), config, workers, progress, share)
         if torch.device(device).type == "cuda" and _bytes(data) < 0.5 * torch.cuda.mem_get_info()[0]:
             data = data.to(device)
         log = TrainingLog(Path(run) / "curves.jsonl", progress)
@@ -125,11 +128,13 @@ def train_prior(
     return prior
 
 
-def _samples(scenes: Path, config: PriorConfig, workers: int, progress, share: Share) -> tuple[SampleTensors, str]:
+def _samples(
+    scenes: Sequence[Path], run: Path, config: PriorConfig, workers: int, progress, share: Share
+) -> tuple[SampleTensors, str]:
     """All scenes' samples, memory-mapped, and the digest that names them; drawn by the first process only."""
     seed = config.shape.seed
     scenes_are = scenes_digest(scenes)
-    stacked = Path(scenes) / ".samples" / f"stack-{digest(scenes_are, config.samples, seed)}"
+    stacked = run / f"samples-{digest(scenes_are, config.samples, seed)}"
     if share.leads:
         names = list_scenes(scenes)
         task = progress.add_task("samples", total=len(names)) if progress is not None else None

@@ -59,21 +59,24 @@ class SampleConfig:
     near_sigma_m: tuple[float, float] = (0.003, 0.015)
 
 
-def list_scenes(folder: Path) -> list[Path]:
-    """Complete scenes below `folder`, sorted by name.
+def list_scenes(folders: Sequence[Path]) -> list[Path]:
+    """Complete scenes below each of `folders`, sorted by name, one folder after the other.
 
     Raises
     ------
-    InputError : none there.
+    InputError : none in one of them.
     """
-    found = sorted(path.parent for path in Path(folder).glob("*/transforms.json"))
-    if not found:
-        raise InputError(
-            expected=f"a folder of scenes (each with transforms.json) at {folder}",
-            received="none",
-            remedy="make some: python tools/make_scenes.py --count 240 --out DIR",
-        )
-    return found
+    every = []
+    for folder in folders:
+        found = sorted(path.parent for path in Path(folder).glob("*/transforms.json"))
+        if not found:
+            raise InputError(
+                expected=f"a folder of scenes (each with transforms.json) at {folder}",
+                received="none",
+                remedy="make some: python tools/make_scenes.py --count 240 --out DIR",
+            )
+        every += found
+    return every
 
 
 def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
@@ -210,14 +213,14 @@ class StoredSamples(Sequence[SceneSamples]):
 
 
 def load_samples(
-    folder: Path,
+    folders: Sequence[Path],
     *,
     config: SampleConfig = SampleConfig(),
     seed: int = 0,
     workers: int = 2,
     progress: Callable[[], None] = lambda: None,
 ) -> StoredSamples:
-    """Samples of every scene below `folder`, drawn once and kept beside the scenes in `.samples/`.
+    """Samples of every scene below `folders`, drawn once and kept beside the scenes in `.samples/`.
 
     Parameters
     ----------
@@ -228,8 +231,8 @@ def load_samples(
     -------
     In the order of `list_scenes`.
     """
-    scenes = list_scenes(folder)
-    paths = [Path(folder) / ".samples" / f"{scene.name}-{_sample_key(scene, config, seed)}.npz" for scene in scenes]
+    scenes = list_scenes(folders)
+    paths = [scene.parent / ".samples" / f"{scene.name}-{_sample_key(scene, config, seed)}.npz" for scene in scenes]
     missing = [(scene, path, config, seed) for scene, path in zip(scenes, paths, strict=True) if not path.exists()]
     for _ in range(len(scenes) - len(missing)):
         progress()
@@ -240,10 +243,10 @@ def load_samples(
     return StoredSamples(paths)
 
 
-def scenes_digest(folder: Path) -> str:
-    """Changes with the names, cameras and poses of the scenes below `folder` and the sizes of their meshes."""
+def scenes_digest(folders: Sequence[Path]) -> str:
+    """Changes with the names, cameras and poses of the scenes below `folders` and the sizes of their meshes."""
     summed = hashlib.sha256()
-    for scene in list_scenes(folder):
+    for scene in list_scenes(folders):
         mesh = scene / "gt" / "mesh.ply"
         summed.update(f"{scene.name} {mesh.stat().st_size if mesh.exists() else 0}\n".encode())
         summed.update((scene / "transforms.json").read_bytes())

@@ -46,6 +46,8 @@ class ShapeTrainConfig:
     normal: float = 0.05
     # Distances beyond this only matter by their sign: far space needs no detail.
     clamp: float = 1.0
+    # Share of the steps, from the start, whose hidden layers run in bfloat16.
+    bfloat16: float = 0.0
     seed: int = 0
 
 
@@ -73,6 +75,19 @@ def shape_losses(
     share: Share = Share(),
 ) -> dict[str, Tensor]:
     """All loss terms of one step, unweighted; their mean over the processes is the step's."""
+    low = step < config.bfloat16 * config.steps
+    with torch.autocast(codes.z_sdf.device.type, torch.bfloat16, enabled=low):
+        return _terms(model, codes, data, config, step, share)
+
+
+def _terms(
+    model: ShapeAppearanceModel,
+    codes: ShapeCodes,
+    data: SampleTensors,
+    config: ShapeTrainConfig,
+    step: int,
+    share: Share,
+) -> dict[str, Tensor]:
     c = config
     batch = Batch.of_step(c.seed, step, c.scenes_per_step, len(data), share, codes.z_sdf.device)
     count = len(batch.scenes)

@@ -1,0 +1,48 @@
+"""The training tool from scenes to a prior that loads, stopped and resumed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+
+
+def tool(name, *arguments):
+    command = [sys.executable, str(TOOLS / f"{name}.py"), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
+
+
+def test_asks_for_scenes(tmp_path):
+    done = tool("train_prior", "--out", tmp_path / "p.safetensors")
+    assert done.returncode == 2
+    assert "--scenes, --scans, or both" in done.stderr
+
+
+def test_a_folder_without_scenes_is_bad_input(tmp_path):
+    done = tool("train_prior", "--scenes", tmp_path, "--out", tmp_path / "p.safetensors", "--run", tmp_path / "run")
+    assert done.returncode == 3
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_from_scenes_to_a_prior(tmp_path):
+    from sira_assets.fields.prior import load_prior
+
+    made = tool("make_scenes", "--count", 3, "--views", 2, "--size", 48, "--samples", 4, "--out", tmp_path / "scenes")
+    assert made.returncode == 0, made.stderr
+    out = tmp_path / "p.safetensors"
+    common = ["--scenes", tmp_path / "scenes", "--out", out, "--run", tmp_path / "run", "--steps", 4, "--quiet"]
+    for extra in ([], ["--resume"]):
+        done = tool("train_prior", *common, "--appearance-steps", 3, "--workers", 1, *extra)
+        assert done.returncode == 0, done.stderr
+    prior = load_prior(out)
+    assert prior.z_sdf.basis.shape == (64, 2)  # three heads span two directions
+    facts = json.loads((tmp_path / "run" / "description.json").read_text())
+    assert facts["scenes"] == 3
+    assert facts["processes"] == 1
+    other = tool("train_prior", *common, "--seed", 1, "--appearance-steps", 3, "--workers", 1, "--resume")
+    assert other.returncode == 3
+    assert "this very run" in other.stderr
