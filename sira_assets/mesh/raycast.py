@@ -62,12 +62,19 @@ class Raycaster:
             open3d.core.Tensor(np.ascontiguousarray(mesh.faces, np.uint32)),
         )
 
+    @property
+    def mesh(self) -> TriangleMesh:
+        """The mesh that is asked."""
+        return self._mesh
+
     def _rays(self, origins: np.ndarray, directions: np.ndarray):
         import open3d
 
-        origins = np.asarray(origins, np.float64).reshape(-1, 3) - self._centre
-        rays = np.hstack([origins, np.broadcast_to(directions, origins.shape)]).astype(np.float32)
-        return open3d.core.Tensor(np.ascontiguousarray(rays))
+        origins = np.asarray(origins, np.float64).reshape(-1, 3)
+        rays = np.empty((len(origins), 6), np.float32)
+        rays[:, :3] = origins - self._centre
+        rays[:, 3:] = directions
+        return open3d.core.Tensor.from_numpy(rays)
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> RayHits:
         """First hits, on either side of a face.
