@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure how well behaved a trained prior is: does every code decode to one closed head, and how steep is its distance.
+"""Measure how well behaved a trained prior is: does every code decode to one closed head, how steep is its distance.
 
 Codes are drawn within two standard deviations; heads between neighbouring draws are measured as well.
 """
