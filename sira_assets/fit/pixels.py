@@ -91,14 +91,19 @@ def pixels_per_metre(portrait: Portrait) -> float:
 
 
 def silhouette_band(portrait: Portrait) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the band: within BAND_M of the mask's edge, less the cut below the chin."""
+    """Rows and columns of the band: within BAND_M of the mask's outer edge, less the cut below the chin.
+
+    A hole in the mask is a fault of the mask (a highlight, a pupil, an earring) far more often than a view past the
+    head: its pixels say nothing, neither of colour nor of the silhouette.
+    """
     from scipy import ndimage
 
     reach = max(2.0, BAND_M * pixels_per_metre(portrait))
-    outside = ndimage.distance_transform_edt(~portrait.mask)
-    inside = ndimage.distance_transform_edt(portrait.mask)
+    filled = ndimage.binary_fill_holes(portrait.mask)
+    outside = ndimage.distance_transform_edt(~filled)
+    inside = ndimage.distance_transform_edt(filled)
     # A mask that touches the picture's border was cropped there; the border is no silhouette.
-    rows, columns = np.nonzero((outside <= reach) & (inside <= reach))
+    rows, columns = np.nonzero((outside <= reach) & (inside <= reach) & (portrait.mask | ~filled))
     rays = pixel_rays(portrait, rows, columns)
     # Height at which a ray crosses the canonical plane z = 0, the plane of the eyes and, nearly, of the silhouette.
     t = -rays.origins[:, 2] / rays.directions[:, 2]

@@ -1,0 +1,67 @@
+"""Every doubt is raised by the fault that it names and by no sound portrait."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_portrait import portrait
+
+from sira_assets.fields.prior import CodeStatistics
+from sira_assets.fit import doubts
+from sira_assets.fit.doubts import portrait_doubts, sigma_distance
+from sira_assets.fit.pixels import silhouette_band
+
+
+@pytest.fixture(autouse=True)
+def _small_is_no_fault(monkeypatch):
+    monkeypatch.setattr(doubts, "FEWEST_PIXELS", 100)
+
+
+def sound():
+    p = portrait()
+    return replace(p, image_linear=np.clip(p.image_linear, 0.1, 0.9))
+
+
+def test_a_sound_portrait_raises_none():
+    assert portrait_doubts(sound()) == ()
+
+
+def faults():
+    p = sound()
+    rows, columns = np.mgrid[:96, :96]
+    upper = p.mask & (rows < 50)
+    hole = (rows - 45) ** 2 + (columns - 48) ** 2 < 9
+    yield "clipped", replace(p, saturated=upper)
+    yield "black", replace(p, image_linear=np.where(upper[..., None], 0.0, p.image_linear))
+    yield "holes", replace(p, mask=p.mask & ~hole)
+    yield "cut by the top", replace(p, mask=p.mask | ((rows < 30) & (abs(columns - 48) < 10)))
+
+
+@pytest.mark.parametrize(("word", "portrait"), list(faults()))
+def test_a_fault_is_named(word, portrait):
+    said = portrait_doubts(portrait)
+    assert len(said) == 1
+    assert word in said[0]
+    assert "\n" not in said[0]
+
+
+def test_few_pixels_are_named(monkeypatch):
+    monkeypatch.setattr(doubts, "FEWEST_PIXELS", 10_000)
+    assert "larger photo" in portrait_doubts(sound())[0]
+
+
+def test_sigma_distance_is_the_root_mean_square_of_the_coefficients():
+    torch.manual_seed(0)
+    statistics = CodeStatistics.of(torch.randn(40, 6), variance=1.0)
+    coefficients = torch.tensor([3.0, -4.0, 0.0, 0.0, 0.0, 0.0])
+    assert sigma_distance(statistics, statistics.code(coefficients)) == pytest.approx((25 / 6) ** 0.5, rel=1e-4)
+
+
+def test_pixels_of_a_hole_are_no_silhouette():
+    p = sound()
+    rows, columns = np.mgrid[:96, :96]
+    hole = (rows - 30) ** 2 + (columns - 48) ** 2 < 30
+    band = set(zip(*silhouette_band(replace(p, mask=p.mask & ~hole)), strict=True))
+    assert not any(hole[pixel] for pixel in band)
+    assert band == {pixel for pixel in zip(*silhouette_band(p), strict=True) if not hole[pixel]}
