@@ -58,7 +58,7 @@ def sobol(count: int) -> np.ndarray:
     order = np.argsort(points[:, 0])
     points = points[order]
     points[:, 0] = (np.arange(count) + 0.5) / count
-    return np.minimum(points, 1.0 - 2.0**-24).astype(np.float32)
+    return (points * 2.0**32).astype(np.uint32)
 
 
 def direct_light(
@@ -145,12 +145,11 @@ def sample_directions(
     roughness: float,
 ) -> np.ndarray:
     """Unit directions (3, P, count) float32 drawn from the mixture `shares`; some lie below the horizon."""
-    base, rotations = sobol(count), rotations.astype(np.float32)
+    base = sobol(count)
     # The first coordinate is shifted by less than one stratum, so that the strategies' counts stay even.
-    u0 = base[:, 0] + (rotations[:, :1] - np.float32(0.5)) / np.float32(count)
-    u1, u2 = (base[:, k] + rotations[:, k : k + 1] for k in (1, 2))
-    for u in (u1, u2):
-        u -= np.floor(u)
+    u0 = ((np.arange(count) + rotations[:, :1]) / count).astype(np.float32)
+    scramble = (rotations * 2.0**32).astype(np.uint32)
+    u1, u2 = (((base[:, k] ^ scramble[:, k : k + 1]) >> 8) * np.float32(2.0**-24) for k in (1, 2))
     strategy = np.zeros(u0.shape, np.int8)
     for edge in np.cumsum(shares, axis=1).T[:-1]:
         strategy += u0 >= edge[:, None]
