@@ -27,8 +27,9 @@ from sira_assets.scene.sg_light import SGLight
 __all__ = ["F0_DIELECTRIC", "LUMINANCE", "DirectLight", "direct_light"]
 
 F0_DIELECTRIC = 0.04  # reflectance at normal incidence of a dielectric of index 1.5: ((1.5 - 1) / (1.5 + 1))^2
-GGX_SHARE = 0.2  # of the directions follow the highlight, where a surface has one
-COSINE_SHARE = 0.1  # at least; so that no direction above the horizon has a vanishing density
+GGX_SHARE = 0.22  # of the directions follow the highlight, where a surface has one
+BY_ENERGY = 0.8  # of the proposals' part
+COSINE_SHARE = 0.15  # at least; so that no direction above the horizon has a vanishing density
 SAMPLES_PER_CHUNK = 32_768  # keeps the working set, about 30 float32 planes, near the cache
 
 
@@ -93,7 +94,9 @@ def direct_light(
     source = SGSource(light) if isinstance(light, SGLight) else light
     count, patterns = len(normals), len(source.colour)
     irradiance = source.irradiance(normals)
-    shares = strategy_shares(source.proposal_energy(irradiance), irradiance, source, specular_f0)
+    facing = np.einsum("pi,pi->p", normals, to_camera) > 0
+    glints = (specular_f0 > 0) & facing
+    shares = strategy_shares(source.proposal_energy(irradiance), irradiance, source, glints)
     visibility = np.empty((count, patterns), np.float32)
     glossy = np.empty((2, count, patterns), np.float32)
     step = max(1, SAMPLES_PER_CHUNK // directions)
@@ -106,7 +109,7 @@ def direct_light(
         visibility[part] = np.where(whole > 0, clear / np.maximum(whole, 1e-30), 1.0)
     colour, albedo = source.colour, diffuse / np.pi
     total = irradiance @ colour
-    facing = np.einsum("pi,pi->p", normals, to_camera)[:, None] > 0
+    facing = facing[:, None]
     return DirectLight(
         diffuse=(facing * albedo * ((irradiance * visibility) @ colour)).astype(np.float32),
         specular=(facing * (glossy[0] @ colour)).astype(np.float32),
@@ -118,7 +121,7 @@ def direct_light(
 
 
 def strategy_shares(
-    energy: np.ndarray, irradiance: np.ndarray, source: LightSource, specular_f0: np.ndarray
+    energy: np.ndarray, irradiance: np.ndarray, source: LightSource, glints: np.ndarray
 ) -> np.ndarray:
     """Probability of each strategy at each point: S proposals, the cosine, the highlight; (P, S + 2) float32.
 
@@ -128,8 +131,8 @@ def strategy_shares(
     total = np.maximum((irradiance * (source.colour @ LUMINANCE)).sum(1, keepdims=True), 1e-30)
     usable = energy > 1e-6 * total
     evenly = usable / np.maximum(usable.sum(1, keepdims=True), 1)
-    share = 0.7 * energy / total + 0.3 * evenly
-    highlight = np.where(specular_f0 > 0, GGX_SHARE, 0.0)
+    share = BY_ENERGY * energy / total + (1 - BY_ENERGY) * evenly
+    highlight = np.where(glints, GGX_SHARE, 0.0)
     lobes = share * (1.0 - highlight - COSINE_SHARE)[:, None]
     out = np.concatenate([lobes, (1.0 - highlight - lobes.sum(1))[:, None], highlight[:, None]], axis=1)
     return out.astype(np.float32)
@@ -159,19 +162,35 @@ def sample_directions(
         of_k = np.flatnonzero(strategy == k)
         if len(of_k):
             w[0][of_k], w[1][of_k], w[2][of_k] = source.draw(k, u1[of_k], u2[of_k])
-    # Around the normal: the cosine, and half vectors of GGX that mirror v.
-    near = np.flatnonzero(strategy >= source.proposals)
-    row, a = near // count, np.float32(roughness**4)
-    mirror = strategy[near] > source.proposals
-    u1, phi = u1[near], np.float32(2 * np.pi) * u2[near]
-    z = np.sqrt((1 - u1) / np.where(mirror, 1 + (a - 1) * u1, np.float32(1)))
-    radius = np.sqrt(np.maximum(1 - z * z, 0))
-    x, y, z = from_local(n.T[:, row], radius * np.cos(phi), radius * np.sin(phi), z)
-    vx, vy, vz = v.T[:, row]
-    twice = np.where(mirror, 2 * (x * vx + y * vy + z * vz), np.float32(0))
-    for plane, h, view in zip(w, (x, y, z), (vx, vy, vz), strict=True):
-        plane[near] = np.where(mirror, twice * h - view, h)
+    for k, draw in enumerate((_draw_cosine, _draw_highlight)):
+        of_k = np.flatnonzero(strategy == source.proposals + k)
+        if len(of_k):
+            w[0][of_k], w[1][of_k], w[2][of_k] = draw(n, v, of_k // count, u1[of_k], u2[of_k], roughness)
     return w.reshape(3, len(n), count)
+
+
+def _draw_cosine(n, v, row, u1, u2, roughness):
+    """Directions by the cosine to the normal."""
+    radius, phi = np.sqrt(u1), np.float32(2 * np.pi) * u2
+    return from_local(n.T[:, row], radius * np.cos(phi), radius * np.sin(phi), np.sqrt(1 - u1))
+
+
+def _draw_highlight(n, v, row, u1, u2, roughness):
+    """Mirrored visible normals of GGX (Dupuy and Benyoub 2023, DOI 10.1111/cgf.14867)."""
+    alpha = np.float32(roughness**2)
+    one, zero = np.float32(1), np.float32(0)
+    tangent, across = (np.stack(from_local(n.T, *e), -1) for e in ((one, zero, zero), (zero, one, zero)))
+    lx, ly, lz = (np.einsum("pi,pi->p", v, e)[row] for e in (tangent, across, n))
+    # the view in the space where the surface is a unit hemisphere
+    length = np.sqrt(alpha * alpha * (lx * lx + ly * ly) + lz * lz)
+    sx, sy, sz = alpha * lx / length, alpha * ly / length, lz / length
+    phi = np.float32(2 * np.pi) * u2
+    z = (1 - u1) * (1 + sz) - sz
+    radius = np.sqrt(np.maximum(1 - z * z, 0))
+    hx, hy, hz = alpha * (radius * np.cos(phi) + sx), alpha * (radius * np.sin(phi) + sy), z + sz
+    hz = np.maximum(hz, np.float32(1e-6))
+    twice = 2 * (hx * lx + hy * ly + hz * lz) / (hx * hx + hy * hy + hz * hz)
+    return from_local(n.T[:, row], twice * hx - lx, twice * hy - ly, twice * hz - lz)
 
 
 def _integrate(n, v, w, shares, specular_f0, source, occluded, start, roughness):
@@ -187,7 +206,7 @@ def _integrate(n, v, w, shares, specular_f0, source, occluded, start, roughness)
     # h is half / |half|; |half|^2 = 2 + 2 w . v, and v . half is half of that.
     half = x + vx, y + vy, z + vz
     square = np.maximum(half[0] * half[0] + half[1] * half[1] + half[2] * half[2], np.float32(1e-12))
-    along = np.maximum(nl + nv, 0)
+    along = nl + nv
     # |half - (half . n) n|^2 in place of |half|^2 - (half . n)^2, which loses the highlight's core in float32.
     across = sum((p - (nl + nv) * q) ** 2 for p, q in zip(half, (nx, ny, nz), strict=True))
     alpha2 = np.float32(roughness**4)
@@ -198,14 +217,16 @@ def _integrate(n, v, w, shares, specular_f0, source, occluded, start, roughness)
     np.divide(alpha2 / np.float32(np.pi), np.maximum(d, np.float32(1e-30)), out=d)
     vh = np.float32(0.5) * np.sqrt(square)
     density = shares[:, proposals, None] * np.float32(1 / np.pi) * np.maximum(nl, 0)
-    density += shares[:, proposals + 1, None] * d * along / (8 * vh * vh)
+    # Visible normals have the density D V1(nv) / 2 of mirrored directions.
+    nv = np.maximum(np.abs(nv), np.float32(1e-4))
+    facing = nv + np.sqrt(alpha2 + (1 - alpha2) * nv * nv)
+    density += shares[:, proposals + 1, None] / (2 * facing) * d
     for k in range(proposals):
         density += shares[:, k, None] * densities[k]
     weight = np.zeros_like(nl)
     weight.ravel()[above] = nl.ravel()[above] / (count * density.ravel()[above])
     # Smith's separable visibility G / (4 nl nv) = V1(nl) V1(nv), V1(c) = 1 / (c + sqrt(alpha2 + (1 - alpha2) c^2)).
-    nv = np.maximum(np.abs(nv), np.float32(1e-4))
-    smith = (nl + np.sqrt(alpha2 + (1 - alpha2) * nl * nl)) * (nv + np.sqrt(alpha2 + (1 - alpha2) * nv * nv))
+    smith = (nl + np.sqrt(alpha2 + (1 - alpha2) * nl * nl)) * facing
     fresnel = np.float32(F0_DIELECTRIC) + np.float32(1 - F0_DIELECTRIC) * np.maximum(1 - vh, 0) ** 5
     ks = (specular_f0 / F0_DIELECTRIC).astype(np.float32)[:, None]
     brdf = ks * d * fresnel / np.where(nl > 0, smith, 1)

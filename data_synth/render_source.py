@@ -16,7 +16,7 @@ from sira_assets.scene.sg_light import SGLight
 # ITU-R BT.709-6, item 3.3
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 # A lobe broader than this spends more than a quarter of its samples below the horizon: the cosine serves it better.
-BROAD_SHARPNESS = 2.0
+BROAD_SHARPNESS = 4.0
 # Up to here 1 - w . xi in float32 costs the lobe less than 5e-5 of its value; beyond, the chord is taken instead.
 COSINE_SHARPNESS = 400.0
 
