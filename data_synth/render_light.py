@@ -120,9 +120,7 @@ def direct_light(
     )
 
 
-def strategy_shares(
-    energy: np.ndarray, irradiance: np.ndarray, source: LightSource, glints: np.ndarray
-) -> np.ndarray:
+def strategy_shares(energy: np.ndarray, irradiance: np.ndarray, source: LightSource, glints: np.ndarray) -> np.ndarray:
     """Probability of each strategy at each point: S proposals, the cosine, the highlight; (P, S + 2) float32.
 
     Proposals get 70 % by the light they bring to the point and 30 % evenly among those that bring any, so that what

@@ -14,16 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.render import RayScene
-from data_synth.render_light import sample_directions
+from data_synth.render_irradiance import irradiance_per_lobe, irradiance_table
+from data_synth.render_light import direct_light
 from sira_assets.mesh.signed_distance import signed_distance
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.sg_light import SGLight
 
 BACKGROUND = 255
-SAMPLES_PER_CHUNK = 65_536  # as in render_light: keeps the working set near the cache
-# Half of a lobe's directions follow the lobe, half the cosine, whatever the other does badly.
-LOBE_SHARE = 0.5
 SDF_NEAR, SDF_FAR = 16_384, 8_192
 # Offsets of the near points from the surface, standard deviations, drawn evenly: detail, and its surroundings.
 SDF_SIGMA_M = (0.002, 0.012)
@@ -75,34 +73,25 @@ def visibility_maps(
     (M, H, W) float32; standard error at most 0.5 / sqrt(directions), where half of a lobe is hidden.
     """
     hits = rays.first_hits(*camera.rays_world())
-    occluded, roughness = rays.occluded_from(hits), rays.surface.roughness
-    rotations = rng.random((len(hits.ray), 3), np.float32)
+    # Every lobe as bright head on as any other, so that none is starved of directions.
+    head_on = np.array([irradiance_table(float(sharpness))[0] for sharpness in light.sharpness])
+    even = SGLight(light.axis, light.sharpness, np.repeat(1.0 / head_on[:, None], 3, axis=1))
+    nothing = np.zeros((len(hits.ray), 3))
+    lit = direct_light(
+        hits.normal,
+        hits.to_camera,
+        nothing,
+        nothing[:, 0],
+        even,
+        rays.occluded_from(hits),
+        rng.random((len(hits.ray), 3), np.float32),
+        roughness=rays.surface.roughness,
+        directions=directions * len(light),
+    )
+    falls = irradiance_per_lobe(hits.normal, light.axis, light.sharpness) > 1e-9 * head_on
     out = np.zeros((len(light), camera.height * camera.width), np.float32)
-    step = max(1, SAMPLES_PER_CHUNK // directions)
-    for k in range(len(light)):
-        lobe = SGLight(light.axis[k : k + 1], light.sharpness[k : k + 1], np.ones((1, 3)))
-        for start in range(0, len(hits.ray), step):
-            part = slice(start, start + step)
-            n, v = (a[part].astype(np.float32) for a in (hits.normal, hits.to_camera))
-            shares = np.broadcast_to(np.array([LOBE_SHARE, 1.0 - LOBE_SHARE, 0.0], np.float32), (len(n), 3))
-            w = sample_directions(n, v, shares, lobe, rotations[part], directions, roughness)
-            row, column = np.nonzero(np.einsum("pnk,pk->pn", w, n) > 1e-6)
-            w = np.ascontiguousarray(w[row, column])
-            weight = _lobe_over_density(w, n[row], lobe)
-            clear = ~occluded(row + start, w)
-            total = np.bincount(row, weight, len(n))
-            seen = np.bincount(row[clear], weight[clear], len(n))
-            out[k, hits.ray[part]] = np.where(total > 0.0, seen / np.maximum(total, 1e-300), 0.0)
+    out[:, hits.ray] = np.where(falls, lit.visibility, 0.0).T
     return out.reshape(len(light), camera.height, camera.width)
-
-
-def _lobe_over_density(w: np.ndarray, n: np.ndarray, lobe: SGLight) -> np.ndarray:
-    """G max(0, n . w) over the density that `w` was drawn with, (K,)."""
-    lam, gap = float(lobe.sharpness[0]), w - lobe.axis[0].astype(np.float32)
-    g = np.exp(-0.5 * lam * np.einsum("ij,ij->i", gap, gap).astype(np.float64))  # |w - xi|^2 / 2 = 1 - w . xi
-    cosine = np.einsum("ij,ij->i", w, n).astype(np.float64)
-    density = LOBE_SHARE * g * lam / (2.0 * np.pi * -np.expm1(-2.0 * lam)) + (1.0 - LOBE_SHARE) * cosine / np.pi
-    return g * cosine / density
 
 
 def sample_signed_distance(

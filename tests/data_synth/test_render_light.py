@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data_synth.render_light import direct_light, sample_directions, sobol, strategy_shares
+from data_synth.render_source import SGSource
 from sira_assets.scene.sg_light import SGLight
 
 LIGHT = SGLight(
@@ -53,12 +54,12 @@ def test_points_of_the_sequence_are_evenly_spread():
     for count in (1, 32, 48, 64, 100):
         points = sobol(count)
         assert points.shape == (count, 3)
-        assert points[:, 0] == pytest.approx((np.arange(count) + 0.5) / count, abs=1e-6)
-        assert points.min() >= 0
-        assert points.max() < 1
-    # A (0, m, 2)-net puts one point into each of 8 x 8 boxes.
-    boxes = (sobol(64)[:, 1:] * 8).astype(int) @ [8, 1]
-    assert len(np.unique(boxes)) > 40
+        assert (np.diff(points[:, 0].astype(np.int64)) >= 0).all()
+    # Two coordinates of a Sobol sequence put at most a few points into each of 8 x 8 boxes, random ones leave 23 empty;
+    # an exclusive or with the same number permutes the boxes.
+    for scramble in (np.uint32(0), np.uint32(0xDEADBEEF)):
+        boxes = ((sobol(64)[:, 1:] ^ scramble) >> 29).astype(int) @ [8, 1]
+        assert len(np.unique(boxes)) > 47
 
 
 def test_unshadowed_diffuse_has_no_noise():
@@ -133,13 +134,85 @@ def test_shadowed_diffuse_matches_quadrature(sharpness):
     assert share == pytest.approx(expected, abs=5e-3)
 
 
-def test_densities_integrate_to_one():
+def hemisphere(steps=300):
+    """Midpoint directions (3, K) float32 and the solid angle of each, over the whole sphere."""
+    z = -1 + 2 * (np.arange(steps) + 0.5) / steps
+    phi = 2 * np.pi * (np.arange(steps) + 0.5) / steps
+    z, phi = (a.ravel() for a in np.meshgrid(z, phi, indexing="ij"))
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z]).astype(np.float32), 4 * np.pi / steps**2
+
+
+def test_proposals_are_drawn_with_the_density_they_say():
+    source, rng = SGSource(LIGHT), np.random.default_rng(2)
+    w, omega = hemisphere()
+    g, densities = source.evaluate(*w)
+    # The sharpest lobe is 9 degrees wide, 15 cells of the midpoint rule.
+    assert densities.sum(1) * omega == pytest.approx(np.ones(3), abs=2e-3)
+    assert g == pytest.approx(np.exp(LIGHT.sharpness[:, None] * (LIGHT.axis @ w - 1)), abs=2e-5)
+    for k in range(3):
+        drawn = np.stack(source.draw(k, *rng.random((2, 40000), np.float32)))
+        assert np.linalg.norm(drawn, axis=0) == pytest.approx(np.ones(40000), abs=1e-5)
+        mean, expected = drawn.mean(1), (w * densities[k]).sum(1) * omega
+        # Four standard errors of a mean of 40,000 unit vectors.
+        assert mean == pytest.approx(expected, abs=4 / np.sqrt(3 * 40000))
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.4])
+def test_sharp_lobe_in_a_highlight_matches_quadrature(roughness):
+    """A sun of sharpness 800 off the mirror direction by 5 degrees."""
+    view = np.array([0.5, 0.0, np.sqrt(0.75)])
+    a = np.radians(-30 + (5 if roughness > 0.1 else 0.05))
+    light = SGLight([[np.sin(a), 0, np.cos(a)]], [800.0], [[3, 2, 1]])
+    out = lit([0, 0, 1], view, light, roughness=roughness, points=400, directions=128)
+    # Quadrature about the lobe's axis up to where it has fallen to e^-30.
+    axis, reach, s = light.axis[0], 30 / 800, (np.arange(1500) + 0.5) / 1500
+    t, weight = reach * s * s, 2 * reach * s / 1500 * (2 * np.pi / 720)
+    phi = 2 * np.pi * (np.arange(720) + 0.5) / 720
+    tangent = np.array([np.cos(a), 0, -np.sin(a)])
+    ring = np.cos(phi)[:, None] * tangent + np.sin(phi)[:, None] * [0.0, 1.0, 0.0]
+    w = (1 - t)[:, None, None] * axis + np.sqrt(t * (2 - t))[:, None, None] * ring
+    nl, half = w[..., 2], w + view
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    alpha2 = roughness**4
+    # 1 - nh^2 from the components across the normal, so that a mirror-like highlight keeps its digits
+    d = alpha2 / np.pi / (half[..., 0] ** 2 + half[..., 1] ** 2 + alpha2 * half[..., 2] ** 2) ** 2
+    v1 = 1 / (nl + np.sqrt(alpha2 + (1 - alpha2) * nl**2))
+    v1 = v1 / (view[2] + np.sqrt(alpha2 + (1 - alpha2) * view[2] ** 2))
+    brdf = d * v1 * (0.04 + 0.96 * (1 - half @ view) ** 5)
+    expected = (brdf * nl * np.exp(-800 * t)[:, None]).sum(1) @ weight * light.amplitude[0]
+    error = out.specular.std(0) / np.sqrt(400)
+    # Four standard errors, and 1e-3 of float32 directions seen through a lobe of 800 and a highlight of alpha 0.0025.
+    assert (np.abs(out.specular.mean(0) - expected) < 4 * error + 2e-3 * expected).all()
+
+
+def test_a_normal_that_faces_away_reflects_nothing_but_keeps_the_local_model():
+    out = lit([0, 0, 1], [0.9, 0, -0.1], LIGHT)
+    assert not out.diffuse.any()
+    assert not out.specular.any()
+    assert out.diffuse_unshadowed.min() > 0
+
+
+def test_visibility_tells_the_lobes_apart():
+    """A wall that hides x < 0 takes the lamp at the left and leaves the one at the right."""
+    light = SGLight([[-0.8, 0, 0.6], [0.8, 0, 0.6]], [60.0, 60.0], [[1, 1, 1], [3, 2, 1]])
+    out = lit([0, 0, 1], [0, 0, 1], light, occluded=lambda index, w: w[:, 0] < 0)
+    assert out.visibility == pytest.approx(np.tile([0.0, 1.0], (64, 1)), abs=1e-6)
+    right = SGSource(light).irradiance(np.array([[0.0, 0.0, 1.0]]))[0, 1] * light.amplitude[1]
+    assert out.diffuse[0] == pytest.approx(np.array([0.5, 0.3, 0.2]) / np.pi * right, rel=1e-5)
+
+
+def test_strategies_are_drawn_as_often_as_asked():
     """Directions drawn, binned by hemisphere: the share of each strategy is what was asked for."""
     n = np.tile(np.float32([0, 0, 1]), (500, 1))
-    shares = strategy_shares(np.tile([1.0, 0.5, 0.2], (500, 1)), LIGHT.sharpness, np.full(500, 0.04))
+    source = SGSource(LIGHT)
+    irradiance = source.irradiance(n)
+    shares = strategy_shares(source.proposal_energy(irradiance), irradiance, source, np.ones(500, bool))
     assert shares.sum(1) == pytest.approx(np.ones(500), abs=1e-6)
     rotations = np.random.default_rng(1).random((500, 3))
-    w = sample_directions(n, n, shares, LIGHT, rotations, 64, 0.4)
-    assert np.linalg.norm(w, axis=-1) == pytest.approx(np.ones(w.shape[:2]), abs=1e-5)
-    near_key = (w @ LIGHT.axis[0] > 1 - 3 / 40).mean()  # three mean widths hold 1 - e^-3 of the lobe
+    w = sample_directions(n, n, shares, source, rotations, 64, 0.4)
+    assert np.linalg.norm(w, axis=0) == pytest.approx(np.ones(w.shape[1:]), abs=1e-5)
+    near_key = (
+        np.einsum("ipn,i->pn", w, LIGHT.axis[0]) > 1 - 3 / 40
+    ).mean()  # three mean widths hold 1 - e^-3 of the lobe
     assert near_key > shares[0, 0] * 0.95
