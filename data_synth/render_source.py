@@ -100,7 +100,7 @@ class SGSource:
 
 
 def from_local(axis, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x t + y b + z axis as planes, with (t, b, axis) orthonormal (Duff et al. 2017, JCGT 6(1)); axis = (ax, ay, az)."""
+    """x t + y b + z axis as planes, axis given as three; (t, b, axis) is orthonormal (Duff et al. 2017, JCGT 6(1))."""
     ax, ay, az = (np.asarray(a, np.float32) for a in axis)
     sign = np.copysign(np.float32(1.0), az)
     a = -1 / (sign + az)
