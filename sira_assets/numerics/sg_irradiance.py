@@ -4,34 +4,54 @@ Notation: lambda >= 0 sharpness, c = n . xi in [-1, 1], both of any broadcastabl
 """
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from sira_assets.numerics.exponential import horner, odd1, phi1
 
-# Clamped cosine as SG(n, 0.0315, 32.7080) - 31.7003: Meder and Bruederlin, Hemispherical Gaussians for Accurate
-# Light Integration, ICCVG 2018, doi:10.1007/978-3-030-00692-1_1.
-COSINE_SHARPNESS = 0.0315
-COSINE_AMPLITUDE = 32.7080
-COSINE_OFFSET = 31.7003
+
+class Route(NamedTuple):
+    """Constants of the published route to the irradiance.
+
+    The clamped cosine is `cosine_amplitude` SG(n, `cosine_sharpness`) - `cosine_offset`. The hemisphere integral's step
+    has the width t = lambda^{3/2} (p lambda + q) / (lambda^2 + r lambda + s).
+    """
+
+    cosine_sharpness: float
+    cosine_amplitude: float
+    cosine_offset: float
+    p: float
+    q: float
+    r: float
+    s: float
+
+
+# Meder and Bruederlin, Hemispherical Gaussians for Accurate Light Integration, ICCVG 2018,
+# doi:10.1007/978-3-030-00692-1_1. Each part fits its own target; together they err by 1.24 % of the head-on value.
+PUBLISHED = Route(0.0315, 32.7080, 31.7003, 1.6988, 10.8438, 6.2201, 10.2415)
+# The same seven numbers fitted to what they are used for, the irradiance: least greatest error (successive linear
+# programmes) over lambda 1e-3 to 1e5 and all angles, the furnace's weighted threefold: 0.91 %.
+REFITTED = Route(0.0336016, 29.948204, 28.949197, 1.664096, 9.460480, 5.162112, 12.395248)
 
 # t below this makes tanh(t c / 2) / tanh(t / 2) = c to 1e-9 of its value; the floor keeps its gradient from 0/0.
 _T_FLOOR = 1e-4
 
 
-def hemisphere_integral(cosine: Tensor, sharpness: Tensor) -> Tensor:
-    """int over n . w > 0 of exp(lambda (w . xi - 1)) dw, as fitted by Meder and Bruederlin (2018), eq. 12 and on.
+def hemisphere_integral(cosine: Tensor, sharpness: Tensor, route: Route = REFITTED) -> Tensor:
+    """int over n . w > 0 of exp(lambda (w . xi - 1)) dw, in the form of Meder and Bruederlin (2018), eq. 12 and on.
 
     Their step s(c) = (1 - e^{-t(1+c)}) / ((1 - e^{-t}) (1 + e^{-tc})) is (1 + tanh(tc/2) / tanh(t/2)) / 2 exactly,
-    which is odd about 1/2, needs no case distinction, and holds for every sharpness >= 0.
+    which is odd about 1/2, needs no case distinction, and holds for every sharpness >= 0. Exact at c = -1, 0, 1 and for
+    lambda -> 0; elsewhere within 1.3 % of the value at c = 1 (published constants: 1.2 %), for every sharpness >= 0.
 
     Returns
     -------
     Tensor : shape of cosine and sharpness broadcast, >= 0.
     """
-    numerator = 1.6988 * sharpness + 10.8438
-    denominator = sharpness * sharpness + 6.2201 * sharpness + 10.2415
+    numerator = route.p * sharpness + route.q
+    denominator = (sharpness + route.r) * sharpness + route.s
     # The gradient of sqrt at 0 is infinite but is multiplied by lambda: the tiny term keeps inf * 0 away.
     t = sharpness * torch.sqrt(sharpness + 1e-12) * (numerator / denominator) + _T_FLOOR
     step = 0.5 + 0.5 * torch.tanh(0.5 * t * cosine) / torch.tanh(0.5 * t)
@@ -39,19 +59,20 @@ def hemisphere_integral(cosine: Tensor, sharpness: Tensor) -> Tensor:
     return upper * (step + (1.0 - step) * torch.exp(-sharpness))
 
 
-def irradiance_fast(cosine: Tensor, sharpness: Tensor) -> Tensor:
+def irradiance_fast(cosine: Tensor, sharpness: Tensor, route: Route = REFITTED) -> Tensor:
     """E(lambda, c) by the published route: product with the cosine lobe, then the hemisphere integral.
 
-    Within 1.3 % of the head-on value for every sharpness >= 0; clamped at 0.
+    Within 0.92 % of the head-on value for every sharpness >= 0 (with the published constants 1.24 %); clamped at 0.
     """
-    summed = sharpness + COSINE_SHARPNESS
-    crossed = 2.0 * COSINE_SHARPNESS * sharpness * (cosine - 1.0)
-    # At least (lambda - 0.0315)^2; the floor keeps the opposite lobe of that very sharpness from 0/0.
+    a = route.cosine_sharpness
+    summed = sharpness + a
+    crossed = 2.0 * a * sharpness * (cosine - 1.0)
+    # At least (lambda - a)^2; the floor keeps the opposite lobe of that very sharpness from 0/0.
     product = torch.sqrt((summed * summed + crossed).clamp_min(1e-10))
     exponent = crossed / (product + summed)
-    product_cosine = ((sharpness * cosine + COSINE_SHARPNESS) / product).clamp(-1.0, 1.0)
-    lobe = COSINE_AMPLITUDE * torch.exp(exponent) * hemisphere_integral(product_cosine, product)
-    return (lobe - COSINE_OFFSET * hemisphere_integral(cosine, sharpness)).clamp_min(0.0)
+    product_cosine = ((sharpness * cosine + a) / product).clamp(-1.0, 1.0)
+    lobe = route.cosine_amplitude * torch.exp(exponent) * hemisphere_integral(product_cosine, product, route)
+    return (lobe - route.cosine_offset * hemisphere_integral(cosine, sharpness, route)).clamp_min(0.0)
 
 
 # Coefficients of P_k(tau) in `irradiance_accurate`, k = 2..5 by rows, powers of tau = lambda / (lambda + 3) by columns,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from sira_assets.numerics.precision import narrow, widen
 from sira_assets.numerics.sg import Grade, irradiance
 from sira_assets.numerics.sg_specular import specular_radiance
 
@@ -66,8 +67,10 @@ def shade(
     visibility : (N, M) in [0, 1], the share of each lobe's light that nothing stands before; 1 if None
     grade : see `numerics.sg.irradiance` and `numerics.sg_specular.specular_radiance`
     """
+    directions, numbers = (normals, view, axis), (diffuse, specular_f0, sharpness, amplitude)
+    dtype, (normals, view, axis, diffuse, specular_f0, sharpness, amplitude) = widen(directions, numbers)
     light = irradiance(normals, axis, sharpness, amplitude, visibility=visibility, grade=grade)
     specular = specular_radiance(
         normals, view, specular_f0, axis, sharpness, amplitude, roughness=roughness, visibility=visibility, grade=grade
     )
-    return Shading(diffuse * light / math.pi, specular, light)
+    return Shading(*(narrow(part, dtype) for part in (diffuse * light / math.pi, specular, light)))

@@ -11,8 +11,8 @@ from sira_assets.numerics.sg import LOBE_IRRADIANCE, irradiance
 from sira_assets.numerics.sg_reference import irradiance_exact
 
 GRADES = ("fast", "accurate")
-# Of the head-on value. The accurate fit's ripple is 0.8e-4 and E(0)'s 1.1e-5; the published route's is 1.23e-2.
-TOLERANCE = {"fast": 1.3e-2, "accurate": 1e-4}
+# Of the head-on value. The accurate fit's ripple is 0.8e-4 and E(0)'s 1.1e-5; the re-fitted route's is 0.91e-2.
+TOLERANCE = {"fast": 0.93e-2, "accurate": 1e-4}
 
 
 def sweep() -> tuple[np.ndarray, np.ndarray]:

@@ -64,9 +64,9 @@ def test_roughness_is_the_named_one():
 
 
 @pytest.mark.parametrize("scene", ["ict_a_soft", "ict_d_soft", "james_soft"])
-# Of the picture's peak. The errors of several lobes add up: the published route's 1.2 % of each lobe's head-on value
-# comes to 1.75 % at ict_a_soft; of the accurate grade's 0.06 %, 0.06 is the half floats of the truth's normals.
-@pytest.mark.parametrize(("grade", "tolerance"), [("fast", 0.018), ("accurate", 0.002)])
+# Of the picture's peak. The errors of several lobes add up: the route's 0.9 % of each lobe's head-on value comes to
+# 1.1 % at ict_a_soft; of the accurate grade's 0.06 %, 0.06 is the half floats of the truth's normals.
+@pytest.mark.parametrize(("grade", "tolerance"), [("fast", 0.015), ("accurate", 0.002)])
 def test_irradiance_on_true_normals_is_the_real_scenes_diffuse_shading(real_data, scene, grade, tolerance):
     from sira_assets.scene.image import read_image
 
