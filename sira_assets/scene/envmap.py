@@ -11,8 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets.errors import InputError
-from sira_assets.scene.exr import read_exr, write_exr
+from sira_assets.scene.exr import exr_size, read_exr, write_exr
+from sira_assets.scene.hdr import MAX_PIXELS, read_hdr, write_hdr
 from sira_assets.scene.sg_light import SGLight
+
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+HDR_SUFFIXES = (".hdr", ".pic")
 
 
 @dataclass(frozen=True)
@@ -96,18 +100,52 @@ def envmap_from_sg(light: SGLight, height: int = 256) -> EnvironmentMap:
 
 
 def write_envmap(path: str | Path, envmap: EnvironmentMap) -> None:
-    """Write an OpenEXR lat-long map, float32, whole or not at all."""
+    """Write a lat-long map whole or not at all: Radiance RGBE where `path` ends in .hdr, else OpenEXR float32.
+
+    Raises
+    ------
+    InputError : RGBE cannot hold the radiance (negative, or beyond 1.7e38).
+    """
+    if Path(path).suffix.lower() in HDR_SUFFIXES:
+        write_hdr(path, envmap.radiance)
+        return
     import OpenEXR
 
     write_exr(path, envmap.radiance, header={"envmap": OpenEXR.ENVMAP_LATLONG})
 
 
 def read_envmap(path: str | Path) -> EnvironmentMap:
-    """Read an OpenEXR lat-long map.
+    """Read an OpenEXR or Radiance (.hdr) lat-long map, told apart by their content.
 
     Raises
     ------
-    InputError : damaged, not twice as wide as high, or not finite.
+    InputError : another kind of file, damaged, too large, not twice as wide as high, or not finite.
     """
-    pixels = read_exr(path)
+    path = Path(path)
+    with open(path, "rb") as file:
+        head = file.read(4)
+    if head[:2] == b"#?":
+        pixels = read_hdr(path)
+    elif head == EXR_MAGIC:
+        width, height = exr_size(path)
+        if width * height > MAX_PIXELS:
+            raise InputError(
+                expected=f"a panorama of at most {MAX_PIXELS >> 20} megapixels at {path}",
+                received=f"{width}x{height}",
+                remedy="make it smaller",
+            )
+        pixels = read_exr(path)
+    else:
+        raise InputError(
+            expected=f"an OpenEXR or Radiance (.hdr) panorama at {path}",
+            received="another kind of file" if head else "an empty file",
+            remedy="convert it; 8-bit pictures clip the lamps that matter most",
+        )
+    height, width = pixels.shape[:2]
+    if width != 2 * height:
+        raise InputError(
+            expected=f"a lat-long panorama, twice as wide as high, at {path}",
+            received=f"{width}x{height}",
+            remedy="export it as an equirectangular map of the whole sphere",
+        )
     return EnvironmentMap(pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1))

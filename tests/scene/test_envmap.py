@@ -5,6 +5,8 @@ import pytest
 
 from sira_assets.errors import InputError
 from sira_assets.scene.envmap import EnvironmentMap, envmap_from_sg, lat_long_directions, read_envmap, write_envmap
+from sira_assets.scene.exr import write_exr
+from sira_assets.scene.hdr import write_hdr
 from sira_assets.scene.sg_light import SGLight
 
 
@@ -72,6 +74,32 @@ def test_round_trip_and_refusals(tmp_path):
         EnvironmentMap(np.full((4, 8, 3), np.nan))
     with pytest.raises(InputError, match="row"):
         envmap_from_sg(SGLight([0, 1, 0], 50.0, [1, 1, 1]), 0)
+
+
+def test_radiance_files_hold_maps_too(tmp_path):
+    env = envmap_from_sg(SGLight([0, 1, 0], 50.0, [1e5, 2, 3]), 16)
+    write_envmap(tmp_path / "envmap.HDR", env)
+    assert (tmp_path / "envmap.HDR").read_bytes().startswith(b"#?RADIANCE")
+    back = read_envmap(tmp_path / "envmap.HDR").radiance
+    # RGBE shares one exponent: within 1/256 of the pixel's largest channel.
+    assert (np.abs(back - env.radiance) <= env.radiance.max(-1, keepdims=True) / 256 * (1 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".hdr"])
+def test_other_shapes_and_other_files_are_refused(tmp_path, suffix):
+    path = tmp_path / f"square{suffix}"
+    (write_exr if suffix == ".exr" else write_hdr)(path, np.ones((8, 8, 3), np.float32))
+    with pytest.raises(InputError, match=r"twice as wide.*square.*8x8.*equirectangular"):
+        read_envmap(path)
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(InputError, match="whole"):
+        read_envmap(path)
+    path.write_bytes(b"\xff\xd8\xff\xe0" + bytes(100))
+    with pytest.raises(InputError, match="8-bit"):
+        read_envmap(path)
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match="empty"):
+        read_envmap(path)
 
 
 def test_agrees_with_the_real_scenes_own_map(real_data):
