@@ -51,9 +51,9 @@ def fit(arguments: argparse.Namespace) -> int:
         arguments.residual, arguments.glossy_residual, arguments.lobes, arguments.max_lobes, arguments.blur_degrees
     )
     envmap = read_envmap(arguments.panorama)
-    start = time.perf_counter()
+    start, start_cpu = time.perf_counter(), time.process_time()
     found = fit_panorama(envmap, config)
-    seconds = time.perf_counter() - start
+    seconds, cpu = time.perf_counter() - start, time.process_time() - start_cpu
     figures = {
         "lobes": len(found.light),
         "irradiance residual, RMS / mean": found.irradiance_residual,
@@ -61,6 +61,7 @@ def fit(arguments: argparse.Namespace) -> int:
         "irradiance residual, worst / largest": found.irradiance_worst_of_peak,
         f"glossy residual, blurred by {config.blur_degrees:g} degrees": found.glossy_residual,
         "seconds": round(seconds, 2),
+        "seconds of CPU": round(cpu, 2),
     }
     if arguments.normals:
         normals = read_normals(arguments.normals)
