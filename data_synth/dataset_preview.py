@@ -17,10 +17,11 @@ def write_contact_sheet(folders: list[Path], path: str | Path, *, rows: int = 12
     """
     from PIL import Image
 
+    shown = [sorted((folder / "images").glob("*.png"))[:columns] for folder in folders[:rows]]
+    width = max(map(len, shown))
     sheet = []
-    for folder in folders[:rows]:
-        pictures = sorted((folder / "images").glob("*.png"))[:columns]
-        line = np.zeros((tile, tile * columns, 3), np.uint8)
+    for pictures in shown:
+        line = np.zeros((tile, tile * width, 3), np.uint8)
         for k, picture in enumerate(pictures):
             with Image.open(picture) as image:
                 small = image.convert("RGB").resize((tile, tile), Image.Resampling.LANCZOS)

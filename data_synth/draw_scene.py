@@ -3,16 +3,20 @@
 Notation: a scene is a function of (settings, index) alone; each of its parts has its own random stream.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_canonical
 from data_synth.lights import Rig, face_luminance, sample_exposure, sample_rig
 from data_synth.render import RayScene, RenderConfig, Surface, render
 from data_synth.render_light import LUMINANCE
+from data_synth.scan_back import without_back
 from data_synth.scene_settings import SceneSettings
 from data_synth.subject import Subject, procedural_subject
 from data_synth.truth import full_truth
 from data_synth.write_scene import SynthScene
+from sira_assets.mesh.raycast import Raycaster
 from sira_assets.scene.canonical import similarity_scale, transform_points
 from sira_assets.scene.sg_light import SGLight
 
@@ -35,6 +39,8 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
     world_from_canonical = _pose(rng_pose, subject)
     framed = subject.mesh.vertices[subject.mesh.vertices[:, 1] > FRAMED_ABOVE_M]
     camera_config = CameraConfig(width=settings.size, height=settings.size)
+    if subject.around_yaw_deg is not None:
+        camera_config = replace(camera_config, around_yaw=min(subject.around_yaw_deg, camera_config.around_yaw))
     cameras = sample_cameras(rng_pose, framed, world_from_canonical, settings.views, camera_config)
 
     face = np.linalg.norm(subject.mesh.vertices - subject.landmarks["nose_tip"], axis=1) < FACE_RADIUS_M
@@ -43,15 +49,18 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
     rig, light = _exposed_light(rng_light, subject, face, rotation)
     second_rig, second_light = _exposed_light(rng_light, subject, face, rotation)
 
+    mesh = subject.mesh.transformed(world_from_canonical)
+    closed = mesh if subject.closed is subject.mesh else subject.closed.transformed(world_from_canonical)
     rendered = subject.rendered.transformed(world_from_canonical)
     rays = RayScene(Surface(rendered, subject.material_coordinates, subject.material, roughness))
     config = RenderConfig(settings.samples, settings.supersample)
     renderings = [render(rays, camera, light, rng_render, config) for camera in cameras]
+    if closed is not mesh:
+        caster = Raycaster(mesh)
+        renderings = [without_back(r, c, caster, mesh) for r, c in zip(renderings, cameras, strict=True)]
     relight = None
     if settings.kind == "eval":
         relight = (second_light, render(rays, cameras[0], second_light, rng_render, config))
-    mesh = subject.mesh.transformed(world_from_canonical)
-    closed = mesh if subject.closed is subject.mesh else subject.closed.transformed(world_from_canonical)
     full = None
     if settings.truth == "full":
         names = subject.region_names

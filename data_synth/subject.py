@@ -30,6 +30,7 @@ class Subject:
     region_names : number -> name
     closed : watertight mesh for signed distances, its first faces those of `mesh`; `mesh` itself where that is closed
     scale : world metres per canonical metre, or None where it is drawn
+    around_yaw_deg : cameras turn no farther, or None for as far as cameras go
     provenance : for gt/provenance.json
     """
 
@@ -45,6 +46,7 @@ class Subject:
     region_names: Mapping[int, str]
     closed: TriangleMesh
     scale: float | None
+    around_yaw_deg: float | None
     provenance: Mapping[str, object]
 
 
@@ -70,6 +72,7 @@ def procedural_subject(rng: np.random.Generator) -> Subject:
         region_names={int(region): region.name.lower() for region in Region},
         closed=mesh,
         scale=None,
+        around_yaw_deg=None,
         provenance={"head": plain(asdict(head.params))},
     )
 

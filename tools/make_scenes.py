@@ -1,8 +1,12 @@
 #!/usr/bin/env python3
 """Write synthetic head scenes with exact truth: pictures, masks, cameras, lights, geometry and materials.
 
-A scene depends only on the kind, the seed, its index and the settings, so a run may be stopped (Ctrl-C), resumed by
-the same command, split over machines with --start, or spread over any number of workers: the bytes stay the same.
+A scene depends only on the kind, the seed, its index and the settings, so a run may be stopped (Ctrl-C, or killed),
+resumed by the same command, split over machines with --start, or spread over any number of workers, here or by Dask:
+the bytes stay the same. DIR/datasheet.html describes all scenes in DIR.
+
+--from-scan renders a head of your own instead: --count scenes of it, each with its own pose, cameras and light. It
+needs landmarks: the nine canonical names in a JSON file, 68 in iBUG's order, or MeshLab's picked points (.pp).
 """
 
 import argparse
@@ -14,7 +18,9 @@ from _cli import run
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    out = argparse.ArgumentParser(prog="make_scenes.py", description=__doc__.split("\n\n")[0])
+    out = argparse.ArgumentParser(
+        prog="make_scenes.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     out.add_argument("--count", type=int, required=True, metavar="N", help="scenes to have, from --start on")
     out.add_argument("--out", type=Path, default=Path("scenes"), metavar="DIR", help="folder of scenes; made if absent")
     out.add_argument("--start", type=int, default=0, metavar="INDEX", help="index of the first scene (default 0)")
@@ -26,8 +32,23 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--supersample", type=int, default=1, help="sample points a pixel: 1, 4, 9, 16 (default 1)")
     out.add_argument("--truth", choices=("full", "train"), default="full", help="train: only what training reads")
     out.add_argument("--workers", type=int, default=2, help="processes, one thread each (default 2)")
+    out.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on this Dask cluster instead, such as tcp://10.0.0.1:8786; its workers must see DIR (and a scan's "
+        "files) under the same path",
+    )
     out.add_argument("--preview", action="store_true", help="also write DIR/preview.png, a contact sheet")
     out.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    scan = out.add_argument_group("a scan of your own")
+    scan.add_argument("--from-scan", type=Path, metavar="MESH", help="PLY, OBJ, GLB or whatever trimesh reads")
+    scan.add_argument("--scan-landmarks", type=Path, metavar="FILE", help="default: landmarks.json beside MESH")
+    scan.add_argument("--scan-texture", type=Path, metavar="PICTURE", help="default: what MESH names, or its colours")
+    scan.add_argument("--scan-name", metavar="NAME", help="scenes' name (default: MESH's, or its folder's)")
+    scan.add_argument("--scan-pieces", choices=("all", "largest"), default="all", help="default: all but dust")
+    scan.add_argument(
+        "--metres-per-unit", type=float, metavar="M", help="length of MESH's unit (default: the mean head's size)"
+    )
     return out
 
 
@@ -35,6 +56,53 @@ def main(argv: list[str] | None = None) -> int:
     """Run the tool; returns the exit status."""
     arguments = parser().parse_args(argv)
     return run(lambda: make_scenes(arguments))
+
+
+def scan_source(arguments: argparse.Namespace):
+    """The scan that the command line names, or None.
+
+    Raises
+    ------
+    InputError : options of a scan without one, or a name that makes no folder.
+    """
+    from data_synth.scene_settings import ScanSource
+    from sira_assets.errors import InputError
+
+    mesh = arguments.from_scan
+    if mesh is None:
+        given = [n for n in ("scan_landmarks", "scan_texture", "scan_name", "metres_per_unit") if getattr(arguments, n)]
+        if given:
+            option = "--" + given[0].replace("_", "-")
+            raise InputError(expected=f"--from-scan MESH with {option}", received="none", remedy="give the mesh")
+        return None
+    mesh = mesh.resolve()
+    name = arguments.scan_name or (mesh.parent.name if mesh.stem in ("mesh", "scan", "model") else mesh.stem)
+    if not name.replace("-", "").replace("_", "").isalnum() or name in ("train", "eval", "datasheet"):
+        raise InputError(
+            expected="a name of letters, digits, - and _", received=repr(name), remedy="give one with --scan-name"
+        )
+    if arguments.metres_per_unit is not None and not 0 < arguments.metres_per_unit < float("inf"):
+        raise InputError(
+            expected="a positive --metres-per-unit",
+            received=f"{arguments.metres_per_unit}",
+            remedy="1 for metres, 0.001 for millimetres",
+        )
+    landmarks = arguments.scan_landmarks or mesh.parent / "landmarks.json"
+    for path, option in (
+        (mesh, "--from-scan"),
+        (landmarks, "--scan-landmarks"),
+        (arguments.scan_texture, "--scan-texture"),
+    ):
+        if path is not None and not path.is_file():
+            raise InputError(expected=f"a file {path}", received="no such file", remedy=f"give it with {option}")
+    return ScanSource(
+        name=name,
+        mesh=str(mesh),
+        landmarks=str(landmarks.resolve()),
+        texture=None if arguments.scan_texture is None else str(arguments.scan_texture.resolve()),
+        metres_per_unit=arguments.metres_per_unit,
+        pieces=arguments.scan_pieces,
+    )
 
 
 def make_scenes(arguments: argparse.Namespace) -> int:
@@ -50,14 +118,22 @@ def make_scenes(arguments: argparse.Namespace) -> int:
             remedy="give such numbers",
         )
     settings = SceneSettings(
-        kind=arguments.kind,
+        kind=arguments.kind if arguments.from_scan is None else "scan",
         seed=arguments.seed,
         views=arguments.views,
         size=arguments.size,
         samples=arguments.samples,
         supersample=arguments.supersample,
         truth=arguments.truth,
+        scan=scan_source(arguments),
     )
+    if settings.scan is not None:
+        from data_synth.import_scan import scan_subject
+
+        # Here too, so that a refusal is one line and what was done to the scan is said once.
+        for note in scan_subject(settings.scan).provenance["scan"]["notes"]:
+            if not arguments.quiet:
+                print(f"{settings.scan.name}: {note}", file=sys.stderr)
     indices = range(arguments.start, arguments.start + arguments.count)
     claim_folder(arguments.out, settings)  # here, so that a refusal is not printed into the progress bar
 
@@ -86,8 +162,12 @@ def make_scenes(arguments: argparse.Namespace) -> int:
             settings,
             indices,
             workers=arguments.workers,
+            scheduler=arguments.scheduler,
             on_scene=lambda name, seconds: progress.advance(task),
         )
+    from data_synth.datasheet import write_datasheet
+
+    write_datasheet(arguments.out)
     if arguments.preview:
         from data_synth.dataset_preview import write_contact_sheet
 
