@@ -28,7 +28,19 @@ ROOMS = (
 GROUND = {"errors", "atomic"}
 # The generator judges the closed-form renderer, so it may not use it, nor anything that does.
 SYNTH_MAY_USE = {"numerics", "scene", "mesh"} | GROUND
-HEAVY = ("torch", "open3d", "trimesh", "pymeshlab", "xatlas", "igl", "matplotlib", "skimage", "mitsuba", "scipy", "dask")
+HEAVY = (
+    "torch",
+    "open3d",
+    "trimesh",
+    "pymeshlab",
+    "xatlas",
+    "igl",
+    "matplotlib",
+    "skimage",
+    "mitsuba",
+    "scipy",
+    "dask",
+)
 TORCH_ROOMS = {"numerics", "fields", "render", "train", "fit", "relight", "pipeline"}
 MAX_LINES = 400
 TOOLS = sorted(p for p in (ROOT / "tools").glob("*.py") if not p.name.startswith("_"))
