@@ -4,9 +4,7 @@ Everything is written into a folder beside the target, which takes the target's 
 """
 
 import os
-import shutil
 import sys
-import tempfile
 from dataclasses import fields
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import numpy as np
 from sira_assets import __version__
 from sira_assets.asset.textures import irradiance_white
 from sira_assets.asset.write_avatar import write_avatar
+from sira_assets.atomic import replacing_folder
 from sira_assets.errors import InputError
 from sira_assets.fields.fitted import save_fitted
 from sira_assets.measure.image_metrics import score_image
@@ -36,8 +35,13 @@ FILES = (
 )
 
 
-def check_target(folder: Path, *, overwrite: bool) -> None:
+def check_target(folder: Path, *, overwrite: bool, marker: str = "report.json", holds: str = "an avatar") -> None:
     """Refuse to write over somebody's work.
+
+    Parameters
+    ----------
+    marker : the file by which a folder of ours is known
+    holds : what such a folder holds, in words
 
     Raises
     ------
@@ -53,9 +57,9 @@ def check_target(folder: Path, *, overwrite: bool) -> None:
             received="one that holds files",
             remedy="choose another --out, or say --overwrite",
         )
-    if held and not (folder / "report.json").is_file():
+    if held and not (folder / marker).is_file():
         raise InputError(
-            expected=f"an avatar to overwrite at {folder}",
+            expected=f"{holds} to overwrite at {folder}",
             received="a folder of other files",
             remedy="choose another --out",
         )
@@ -68,10 +72,7 @@ def check_target(folder: Path, *, overwrite: bool) -> None:
 
 def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
     """Write everything a run made into `folder`, whole or not at all, and give its report."""
-    folder = Path(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with replacing_folder(folder) as fresh:
         write_avatar(journey.avatar, fresh)
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
         pictures = _pictures(journey)
@@ -81,28 +82,7 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
         report = _report(journey, settings, pictures)
         write_report_json(report, fresh / "report.json")
         write_report_html(report, fresh / "report.html")
-        _replace_folder(fresh, folder)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
     return report
-
-
-def _replace_folder(fresh: Path, folder: Path) -> None:
-    """Move a whole folder to its name; what was there is deleted last, and put back if the move fails."""
-    umask = os.umask(0)
-    os.umask(umask)
-    fresh.chmod(0o777 & ~umask)
-    if not folder.exists():
-        os.replace(fresh, folder)
-        return
-    old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
-    os.replace(folder, old / "was")
-    try:
-        os.replace(fresh, folder)
-    except BaseException:
-        os.replace(old / "was", folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _pictures(journey: Journey) -> dict[str, np.ndarray]:

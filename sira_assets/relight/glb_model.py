@@ -1,7 +1,7 @@
 """A GLB read as a stranger would read it: binary glTF 2.0 to arrays, by the specification and nothing of our writer.
 
 Notation: uv has its origin top-left, as glTF has it; F0 the reflectance at normal incidence. Colours are linear.
-Read are meshes with node transforms, vertex colours, base colour, metallic, roughness, normal texture,
+Read are meshes with node transforms, vertex colours, base colour, metallic and roughness, normal texture,
 `KHR_materials_specular` and `KHR_materials_ior`. Sources: glTF 2.0 specification (registry.khronos.org/glTF), sections
 3.6, 3.9 and 4.
 """
@@ -57,6 +57,7 @@ class Material:
     base_texture: Texture | None
     metallic: float
     roughness: float
+    metallic_roughness_texture: Texture | None
     f0_dielectric: float
     specular_factor: float
     specular_texture: Texture | None
@@ -88,6 +89,25 @@ class GlbModel:
     material: np.ndarray
     materials: tuple[Material, ...]
     extras: dict
+
+
+def read_avatar(path: str | Path) -> GlbModel:
+    """Read an exported folder's `avatar.glb`, or a GLB itself.
+
+    Raises
+    ------
+    InputError : a folder that holds no avatar, or as `read_glb`.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if not (path / "avatar.glb").is_file():
+            raise InputError(
+                expected=f"an exported avatar in {path}",
+                received="a folder without avatar.glb",
+                remedy="give the folder that export_avatar.py wrote, or a .glb",
+            )
+        path = path / "avatar.glb"
+    return read_glb(path)
 
 
 def read_glb(path: str | Path) -> GlbModel:
@@ -176,6 +196,7 @@ class _Reader:
             base_texture=self.texture(pbr.get("baseColorTexture"), srgb=True),
             metallic=float(pbr.get("metallicFactor", 1.0)),
             roughness=float(pbr.get("roughnessFactor", 1.0)),
+            metallic_roughness_texture=self.texture(pbr.get("metallicRoughnessTexture"), srgb=False),
             f0_dielectric=((ior - 1) / (ior + 1)) ** 2,
             specular_factor=float(specular.get("specularFactor", 1.0)),
             specular_texture=self.texture(specular.get("specularTexture"), srgb=False),

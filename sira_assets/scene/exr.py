@@ -120,7 +120,7 @@ def write_exr(path: str | Path, linear: np.ndarray, *, header: Mapping[str, obje
     Parameters
     ----------
     path : ends in .exr
-    linear : (H, W, 3) written as R, G, B, or (H, W) written as Y
+    linear : (H, W, 3) written as R, G, B; (H, W, 4) with A, colours premultiplied by it; or (H, W) written as Y
     header : further EXR attributes, such as {"envmap": OpenEXR.ENVMAP_LATLONG}
 
     Raises
@@ -130,11 +130,13 @@ def write_exr(path: str | Path, linear: np.ndarray, *, header: Mapping[str, obje
     import OpenEXR
 
     pixels = np.ascontiguousarray(linear, np.float32)
-    if pixels.size == 0 or not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)):
+    if pixels.size == 0 or not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] in (3, 4))):
         raise InputError(
-            expected="pixels (H, W, 3) or (H, W)", received=f"shape {pixels.shape}", remedy="give the picture as RGB"
+            expected="pixels (H, W, 3), (H, W, 4) or (H, W)",
+            received=f"shape {pixels.shape}",
+            remedy="give the picture as RGB",
         )
     attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(header or {})}
-    channels = {"RGB": pixels} if pixels.ndim == 3 else {"Y": pixels}
+    channels = {"Y" if pixels.ndim == 2 else "RGBA"[: pixels.shape[2]]: pixels}
     with replacing(path) as temporary, OpenEXR.File(attributes, channels) as file:
         file.write(str(temporary))

@@ -223,15 +223,16 @@ def write_png(path: str | Path, encoded: np.ndarray) -> None:
     Parameters
     ----------
     path : ends in .png
-    encoded : (H, W) or (H, W, 3); floats in [0, 1] (clipped, rounded to 8 bits), uint8 as they are, bool as 0 and 255,
-        uint16 as a 16-bit file
+    encoded : (H, W), (H, W, 3) or, but for uint16, (H, W, 4) with straight alpha; floats in [0, 1] (clipped, rounded
+        to 8 bits), uint8 as they are, bool as 0 and 255, uint16 as a 16-bit file
 
     Raises
     ------
     InputError : another shape, or NaN.
     """
     encoded = np.asarray(encoded)
-    if encoded.size == 0 or not (encoded.ndim == 2 or (encoded.ndim == 3 and encoded.shape[2] == 3)):
+    colour = (3,) if encoded.dtype == np.uint16 else (3, 4)
+    if encoded.size == 0 or not (encoded.ndim == 2 or (encoded.ndim == 3 and encoded.shape[2] in colour)):
         raise InputError(
             expected="a picture (H, W) or (H, W, 3)", received=f"shape {encoded.shape}", remedy="drop other channels"
         )

@@ -120,6 +120,39 @@ def _frame(shared: Mapping, frame: Mapping, folder: Path, path: Path) -> Frame:
     )
 
 
+def read_camera(path: str | Path, *, frame: int = 0) -> Camera:
+    """One camera of a `transforms.json`, without its picture where `w` and `h` stand in the file.
+
+    Raises
+    ------
+    InputError : not of that form, no such frame, or an unusable camera.
+    """
+    path = Path(path)
+    shared, frames = _shared_and_frames(path)
+    if not 0 <= frame < len(frames):
+        raise InputError(
+            expected=f"a frame of 0 to {len(frames) - 1} in {path}", received=f"{frame}", remedy="choose another"
+        )
+    data = {**shared, **frames[frame]}
+    width, height = (_number(data, key, None, path) for key in ("w", "h"))
+    if not width or not height:
+        width, height = image_size(path_inside(path.parent, data.get("file_path")))
+    pose = _matrix(data.get("transform_matrix"), "transform_matrix", path) @ OPENCV_FROM_OPENGL
+    return Camera(_intrinsics(data, int(width), int(height), path), pose, int(width), int(height))
+
+
+def _shared_and_frames(path: Path) -> tuple[dict, list[dict]]:
+    data = read_json(path)
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
+        raise InputError(
+            expected=f"frames, a list of one or more views, in {path}",
+            received=str(frames)[:60],
+            remedy="write it as nerfstudio does",
+        )
+    return {key: value for key, value in data.items() if key != "frames"}, frames
+
+
 def read_transforms(path: str | Path, *, only_first: bool = False) -> SceneFile:
     """Read a `transforms.json`; pictures are looked at for their size only.
 
@@ -133,17 +166,9 @@ def read_transforms(path: str | Path, *, only_first: bool = False) -> SceneFile:
     InputError : not of that form, a path that leads out of the folder, a missing file, an unusable camera.
     """
     path = Path(path)
-    data = read_json(path)
-    frames = data.get("frames") if isinstance(data, dict) else None
-    if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
-        raise InputError(
-            expected=f"frames, a list of one or more views, in {path}",
-            received=str(frames)[:60],
-            remedy="write it as nerfstudio does",
-        )
-    shared = {key: value for key, value in data.items() if key != "frames"}
-    canonical = data.get("canonical_from_world")
-    metres = _number(data, "metres_per_unit", None, path)
+    shared, frames = _shared_and_frames(path)
+    canonical = shared.get("canonical_from_world")
+    metres = _number(shared, "metres_per_unit", None, path)
     if metres is not None and metres <= 0:
         raise InputError(expected=f"metres_per_unit > 0 in {path}", received=f"{metres:g}", remedy="mend it")
     # 2D landmarks may stand in the frame they were found in.
