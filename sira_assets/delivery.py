@@ -16,6 +16,7 @@ from sira_assets.asset.write_avatar import write_avatar
 from sira_assets.atomic import replacing_folder
 from sira_assets.errors import InputError
 from sira_assets.fields.fitted import save_fitted
+from sira_assets.measure.exported import ExportedView, measure_exported
 from sira_assets.measure.image_metrics import score_image
 from sira_assets.measure.report import Curve, Decision, Metric, Picture, Report, write_report_json
 from sira_assets.measure.report_page import write_report_html
@@ -75,17 +76,22 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
     with replacing_folder(folder) as fresh:
         write_avatar(journey.avatar, fresh)
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
-        pictures = _pictures(journey)
+        portrait = journey.portrait
+        # The field's own mask and photo: the figures of file and field then differ by the file alone.
+        exported = measure_exported(
+            fresh / "avatar.glb", journey.view.final, portrait.image_linear, portrait.mask, shadows=False
+        )
+        pictures = _pictures(journey, exported)
         for name, pixels in pictures.items():
             write_png(fresh / "renders" / f"{name}.png", pixels)
         write_exr(fresh / "renders" / "final.exr", journey.view.final)
-        report = _report(journey, settings, pictures)
+        report = _report(journey, settings, pictures, exported)
         write_report_json(report, fresh / "report.json")
         write_report_html(report, fresh / "report.html")
     return report
 
 
-def _pictures(journey: Journey) -> dict[str, np.ndarray]:
+def _pictures(journey: Journey, exported: ExportedView) -> dict[str, np.ndarray]:
     """renders/*.png, uint8."""
     view, portrait = journey.view, journey.portrait
     encode = lambda linear: np.round(255 * srgb_from_linear(linear)).astype(np.uint8)  # noqa: E731
@@ -106,6 +112,7 @@ def _pictures(journey: Journey) -> dict[str, np.ndarray]:
         "irradiance": encode(view.irradiance / white),
         "diffuse": encode(view.diffuse_radiance),
         "highlights": encode(view.specular_radiance),
+        "asset": encode(exported.render.radiance),
     }
 
 
@@ -118,10 +125,11 @@ CAPTIONS = {
     "diffuse": "diffuse radiance alone",
     "highlights": "specular radiance alone",
     "final": "diffuse and specular together",
+    "asset": "the exported file, read back and rendered by glTF's BRDF",
 }
 
 
-def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray]) -> Report:
+def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray], exported: ExportedView) -> Report:
     view, portrait, avatar = journey.view, journey.portrait, journey.avatar
     both = portrait.mask & view.hit
     union = portrait.mask | view.hit
@@ -129,6 +137,7 @@ def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray
     metrics = (
         Metric("final_psnr_db", "render against photo", score.psnr_db, "dB", "PSNR in the mask, sRGB-encoded", True, 1),
         Metric("final_ssim", "structural similarity", score.ssim, "", "SSIM in the mask, sRGB-encoded", True, 3),
+        *_exported_metrics(exported),
         Metric("mask_iou", "silhouette overlap", float(both.sum() / max(union.sum(), 1)), "", "mask against render"),
         Metric("triangles", "triangles", float(len(avatar.mesh.faces)), "", "of the exported mesh", False, 0),
         Metric("charts", "charts", float(avatar.atlas.report.charts), "", f"by {avatar.atlas.report.method}", False, 0),
@@ -161,6 +170,17 @@ def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray
         seed=settings.seed,
         metres_per_unit=portrait.metres_per_unit,
         files=FILES,
+    )
+
+
+def _exported_metrics(exported: ExportedView) -> tuple[Metric, ...]:
+    how = "avatar.glb read back, its own camera and light, glTF's BRDF by ray casting; PSNR in the mask, sRGB-encoded"
+    same = "the same without glTF's 1 - F on the diffuse lobe, which the fit's model has not"
+    final, photo, plain = exported.against_final.psnr_db, exported.against_photo.psnr_db, exported.unweighted_psnr_db
+    return (
+        Metric("asset_vs_final_psnr_db", "exported asset against render", final, "dB", how, False, 1),
+        Metric("asset_vs_photo_psnr_db", "exported asset against photo", photo, "dB", how, False, 1),
+        Metric("asset_vs_final_without_f_psnr_db", "without glTF's weighting", plain, "dB", same, False, 1),
     )
 
 

@@ -48,7 +48,7 @@ def check_movie(path: Path) -> None:
         raise InputError(
             expected="ffmpeg to write an MP4",
             received="none on the path, and no imageio-ffmpeg",
-            remedy="install ffmpeg or pip install imageio-ffmpeg, or name the file .webp",
+            remedy="install ffmpeg, or pip install 'sira-assets[movie]', or name the file .webp",
         )
 
 
