@@ -177,7 +177,7 @@ def irradiance(
         received = lobe_irradiance((normals @ axis.mT).clamp(-1.0, 1.0), sharpness)
         return (received if seen is None else seen * received) @ amplitude
 
-    seen = None if visibility is None else visibility.to(normals.dtype).reshape(-1, len(sharpness))
+    seen = None if visibility is None else visibility.to(normals.dtype).reshape(normals[..., 0].numel(), len(sharpness))
     points = normals.reshape(-1, 3), seen
     value = in_blocks(block, points, (axis, sharpness, amplitude), pairs=len(sharpness))
     return narrow(value.reshape(normals.shape), dtype)
