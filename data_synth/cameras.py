@@ -1,7 +1,8 @@
 """Portrait cameras and the head's pose in the world, drawn by seed.
 
 Notation: yaw turns the camera around the head from the front (+Z) towards the subject's left (+X), pitch lifts it. One
-pinhole camera takes every view of a scene, so its focal length is the scene's; the distance varies from view to view.
+pinhole camera takes every view of a scene, so its intrinsics are the scene's; the distance varies from view to view.
+A focal length in mm is 35 mm equivalent: that of a frame 24 mm high. The picture is a square cut out of that frame.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from sira_assets.scene.camera import Camera
+
+FRAME_MM = 24.0
+# How portraits are taken: name, share, focal lengths in mm, distances in m both drawn on a logarithmic scale.
+# Phones have 24 to 28 mm at the back, 22 to 30 at the front, 48 to 77 in the second lens; portraits 50 to 135.
+STYLES = (
+    ("selfie", 0.22, (22.0, 30.0), (0.35, 0.65)),
+    ("phone", 0.20, (24.0, 28.0), (0.6, 1.3)),
+    ("phone tele", 0.15, (48.0, 77.0), (0.8, 1.8)),
+    ("portrait", 0.25, (50.0, 90.0), (1.0, 2.2)),
+    ("studio", 0.18, (85.0, 135.0), (1.6, 3.2)),
+)
 
 
 @dataclass(frozen=True)
@@ -18,20 +30,72 @@ class CameraConfig:
     Parameters
     ----------
     width, height : pixels
-    front_yaw, front_pitch : limits of the first view, the portrait
+    front_yaw, front_pitch : limits of the first view, the portrait; draws are normal, of 0.4 of the limit
     around_yaw, around_pitch : limits of the others; their yaws are spread evenly, with jitter
-    distance_m : range of the scene's typical distance
     fill : range of the part of the picture that the head spans, by the larger of its width and height
+    off_centre : share of scenes whose picture is cut from a side of the frame: the principal point leaves the middle
+    crops : share of scenes whose picture cuts the head, at any side
     """
 
     width: int = 256
     height: int = 256
-    front_yaw: float = 30.0
-    front_pitch: float = 12.0
+    front_yaw: float = 45.0
+    front_pitch: float = 20.0
     around_yaw: float = 150.0
     around_pitch: float = 25.0
-    distance_m: tuple[float, float] = (0.6, 1.8)
-    fill: tuple[float, float] = (0.5, 0.85)
+    fill: tuple[float, float] = (0.4, 0.88)
+    off_centre: float = 0.3
+    crops: float = 0.0
+
+
+@dataclass(frozen=True)
+class Framing:
+    """A scene's choice of lens and picture.
+
+    Parameters
+    ----------
+    style : among STYLES; focal_mm : 35 mm equivalent; distance_m : of the first view, to the head's centre
+    fill : part of the picture that the head spans in the first view, above 1 where it is cut
+    shift : (2,) where the middle of the head is, less the middle of the picture, in pictures
+    axis : (2,) where the optical axis meets the picture, less its middle, in pictures
+    """
+
+    style: str
+    focal_mm: float
+    distance_m: float
+    fill: float
+    shift: np.ndarray
+    axis: np.ndarray
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def sample_framing(rng: np.random.Generator, config: CameraConfig = CameraConfig(), head_m: float = 0.25) -> Framing:
+    """Draw a framing of a head `head_m` high.
+
+    The lens and the distance say how much of the frame's height the head takes; the picture is cut so that the head
+    takes `fill` of it, or the photographer steps back where it would take more.
+    """
+    name, _, focal, distance = STYLES[rng.choice(len(STYLES), p=[share for _, share, *_ in STYLES])]
+    focal_mm, distance_m = _log_uniform(rng, *focal), _log_uniform(rng, *distance)
+    fill, shift = rng.uniform(*config.fill), rng.uniform(-0.5, 0.5, 2)
+    cut, off_centre = rng.random() < config.crops, rng.random() < config.off_centre
+    axis = rng.uniform(-0.5, 0.5, 2)
+    of_frame = head_m * focal_mm / (FRAME_MM * distance_m)
+    if of_frame > fill:
+        distance_m *= of_frame / fill
+        of_frame = fill
+    picture_of_frame = of_frame / fill
+    # The head stays whole: it may move by what the picture leaves beside it, mostly less.
+    shift = shift * (0.4 * (1.0 - fill))
+    if cut:
+        fill = rng.uniform(1.05, 1.5)
+        shift = rng.uniform(-0.3, 0.3, 2)
+    # How far the picture's middle can be from the frame's, in pictures, if the frame is 24 mm square.
+    axis = axis * (1.0 / picture_of_frame - 1.0) if off_centre else np.zeros(2)
+    return Framing(name, focal_mm, distance_m, fill, shift, axis)
 
 
 def rotation_xyz(pitch_deg: float, yaw_deg: float, roll_deg: float) -> np.ndarray:
@@ -43,10 +107,18 @@ def rotation_xyz(pitch_deg: float, yaw_deg: float, roll_deg: float) -> np.ndarra
     return ry @ rx @ rz
 
 
+def _tilt(rng: np.random.Generator, deviation: float, limit: float) -> float:
+    """A normal draw, in degrees, held within a limit."""
+    return float(np.clip(rng.normal(0.0, deviation), -limit, limit))
+
+
 def sample_world_from_canonical(rng: np.random.Generator) -> np.ndarray:
-    """(4, 4) similarity: a head that turns up to 40 degrees and nods up to 15, scaled by 0.9 to 1.1."""
+    """(4, 4) similarity: a head that turns up to 40 degrees, nods and tilts as people do, scaled by 0.9 to 1.1.
+
+    Nods of 7 and tilts of 5 degrees standard deviation are about those of posed portraits; world +Y is up.
+    """
     out = np.eye(4)
-    rotation = rotation_xyz(rng.uniform(-15, 15), rng.uniform(-40, 40), rng.uniform(-10, 10))
+    rotation = rotation_xyz(_tilt(rng, 7.0, 20.0), rng.uniform(-40, 40), _tilt(rng, 5.0, 15.0))
     out[:3, :3] = rng.uniform(0.9, 1.1) * rotation
     out[:3, 3] = rng.uniform(-0.3, 0.3, 3)
     return out
@@ -83,24 +155,42 @@ def sample_cameras(
     """
     scale = np.cbrt(np.linalg.det(world_from_canonical[:3, :3]))
     middle = 0.5 * (head_points_canonical.min(0) + head_points_canonical.max(0))
-    typical, fill = rng.uniform(*config.distance_m), rng.uniform(*config.fill)
+    framing = sample_framing(rng, config, scale * np.ptp(head_points_canonical[:, 1]))
     others = (np.arange(views - 1) + rng.uniform(0.1, 0.9, views - 1)) / max(views - 1, 1)
-    yaws = [np.clip(rng.normal(0, 0.45), -1, 1) * config.front_yaw, *((2 * others - 1) * config.around_yaw)]
+    yaws = [_tilt(rng, 0.4, 1.0) * config.front_yaw, *((2 * others - 1) * config.around_yaw)]
     poses, spans = [], []
     for k, yaw in enumerate(yaws):
-        limit = config.front_pitch if k == 0 else config.around_pitch
-        direction = rotation_xyz(-rng.uniform(-limit, limit), yaw, 0.0) @ np.array([0.0, 0.0, 1.0])
-        distance = typical * (1.0 if k == 0 else rng.uniform(0.92, 1.12))
-        target = middle + rng.uniform(-0.02, 0.02, 3)
-        canonical = look_at(
-            target + distance / scale * direction, target, np.array([0.0, 1.0, 0.0]), rng.uniform(-5, 5)
-        )
-        inside = (head_points_canonical - canonical[:3, 3]) @ canonical[:3, :3]
+        front = _tilt(rng, 0.4, 1.0) * config.front_pitch
+        pitch = front if k == 0 else rng.uniform(-config.around_pitch, config.around_pitch)
+        away = rotation_xyz(-pitch, yaw, 0.0) @ np.array([0.0, 0.0, 1.0])
+        distance = framing.distance_m * (1.0 if k == 0 else rng.uniform(0.92, 1.12))
+        centre = middle + distance / scale * away
+        jitter = np.zeros(3) if k == 0 else rng.uniform(-0.02, 0.02, 3)
+        poses.append(look_at(centre, middle + jitter, np.array([0.0, 1.0, 0.0]), _tilt(rng, 3.0, 8.0)))
+        inside = (head_points_canonical - centre) @ poses[-1][:3, :3]
         spans.append(np.ptp(inside[:, :2] / inside[:, 2:], axis=0).max())
+    # The first view gets exactly the drawn fill; no other may burst the frame unless the first does.
+    focal = framing.fill / spans[0]
+    if framing.fill < 1.0:
+        focal = min(focal, 0.95 / max(spans))
+    size = np.array([config.width, config.height])
+    pixels = focal * size.min()
+    axis = 0.5 * size + framing.axis * size.min()
+    intrinsics = np.array([[pixels, 0, axis[0]], [0, pixels, axis[1]], [0, 0, 1.0]])
+    out = []
+    for canonical in poses:
+        # Turn the camera from the head to where the head shall be off the optical axis.
+        wanted = (framing.shift - framing.axis) / focal
+        canonical[:3, :3] = canonical[:3, :3] @ _towards(wanted).T
         pose = world_from_canonical @ canonical
         pose[:3, :3] /= scale
-        poses.append(pose)
-    # The first view gets exactly the drawn fill; no other may burst the frame.
-    focal = min(fill / spans[0], 0.95 / max(spans)) * min(config.width, config.height)
-    intrinsics = np.array([[focal, 0, config.width / 2], [0, focal, config.height / 2], [0, 0, 1.0]])
-    return [Camera(intrinsics, pose, config.width, config.height) for pose in poses]
+        out.append(Camera(intrinsics, pose, config.width, config.height))
+    return out
+
+
+def _towards(slope: np.ndarray) -> np.ndarray:
+    """(3, 3) least rotation of camera axes that takes (0, 0, 1) to the direction (slope_x, slope_y, 1)."""
+    target = np.array([*slope, 1.0]) / np.sqrt(slope @ slope + 1.0)
+    v, c = np.cross([0.0, 0.0, 1.0], target), target[2]
+    k = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + k + k @ k / (1.0 + c)

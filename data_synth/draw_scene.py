@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_canonical
-from data_synth.lights import Rig, face_luminance, sample_exposure, sample_rig
+from data_synth.light_rigs import sample_rig
+from data_synth.lights import Rig, face_luminance, sample_exposure
 from data_synth.render import RayScene, RenderConfig, Surface, render
-from data_synth.render_light import LUMINANCE
+from data_synth.render_source import LUMINANCE
 from data_synth.scan_back import without_back
 from data_synth.scene_settings import SceneSettings
 from data_synth.subject import Subject, procedural_subject

@@ -24,8 +24,6 @@ import numpy as np
 from data_synth.render_source import LUMINANCE, LightSource, SGSource, from_local
 from sira_assets.scene.sg_light import SGLight
 
-__all__ = ["F0_DIELECTRIC", "LUMINANCE", "DirectLight", "direct_light"]
-
 F0_DIELECTRIC = 0.04  # reflectance at normal incidence of a dielectric of index 1.5: ((1.5 - 1) / (1.5 + 1))^2
 GGX_SHARE = 0.22  # of the directions follow the highlight, where a surface has one
 BY_ENERGY = 0.8  # of the proposals' part

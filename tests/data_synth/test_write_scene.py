@@ -8,7 +8,7 @@ from PIL import Image
 
 from data_synth.cameras import CameraConfig, sample_cameras
 from data_synth.dataset import remove_leftovers
-from data_synth.lights import sample_rig
+from data_synth.light_rigs import sample_rig
 from data_synth.render import RayScene, RenderConfig, Surface, render
 from data_synth.scene_settings import SceneSettings
 from data_synth.synth_scene import SynthScene
