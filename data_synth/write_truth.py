@@ -106,7 +106,7 @@ def landmarks(scene: SynthScene) -> dict:
     caster = Raycaster(scene.mesh)
     names = list(scene.landmarks_world)
     points = np.array([scene.landmarks_world[name] for name in names], np.float64)
-    pixels, visible = seen_points(caster, scene.cameras[0], points)
+    pixels, visible = seen_points(scene.mesh, caster, scene.cameras[0], points)
     out: dict = {
         name: {"xyz_m": points[k].tolist(), "pixel": pixels[k].tolist(), "visible": bool(visible[k])}
         for k, name in enumerate(names)
@@ -117,21 +117,26 @@ def landmarks(scene: SynthScene) -> dict:
     if scene.landmarks68_world is not None:
         out["lm68_m"] = np.asarray(scene.landmarks68_world).tolist()
         for camera in scene.cameras:
-            pixels, visible = seen_points(caster, camera, scene.landmarks68_world)
+            pixels, visible = seen_points(scene.mesh, caster, camera, scene.landmarks68_world)
             out["views"].append({"lm68_pixels": pixels.tolist(), "lm68_visible": visible.tolist()})
     out["anchors_m"] = np.asarray(scene.anchors_world).tolist()
     return out
 
 
-def seen_points(caster: Raycaster, camera: Camera, points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) of points on the surface, and (N,) bool: inside the picture with nothing standing before them."""
+def seen_points(
+    mesh: TriangleMesh, caster: Raycaster, camera: Camera, points_world: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2) of points on the surface, and (N,) bool: inside the picture, on a side of the surface that faces
+    the camera, with nothing standing before them."""
     points = np.asarray(points_world, np.float64)
     pixels, depth = camera.project(points)
     inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(1) & (depth > 0)
+    nearest = caster.closest(points)
     ray = points - camera.world_from_camera[:3, 3]
     reach = 1.0 - VISIBLE_WITHIN_M / np.linalg.norm(ray, axis=1)
     first = caster.cast(np.broadcast_to(camera.world_from_camera[:3, 3], ray.shape), ray).t
-    return pixels, inside & (first > reach)
+    facing = (mesh.normals[mesh.faces[nearest.face]].mean(1) * ray).sum(1) < 0.0
+    return pixels, inside & facing & (first > reach)
 
 
 def write_picture(linear: np.ndarray, stem: Path, *, exr: bool) -> None:

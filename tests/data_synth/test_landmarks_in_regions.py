@@ -1,0 +1,49 @@
+"""Landmarks of procedural heads project into the features they belong to, in every view."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from data_synth.draw_scene import draw_scene
+from data_synth.scene_settings import SceneSettings
+from data_synth.write_truth import seen_points
+from sira_assets.mesh.raycast import Raycaster
+
+FEATURES = {"brow": range(17, 27), "eye": range(36, 48), "lips": range(48, 68)}  # rows of iBUG's 68
+SIZE = 160
+
+
+def distances(scene):
+    """Of every visible landmark of a feature, in all views: feature, row, mm to the nearest pixel of each feature."""
+    caster, number = Raycaster(scene.mesh), {name: k for k, name in scene.full.region_names.items()}
+    for camera, region in zip(scene.cameras, scene.full.regions, strict=True):
+        pixels, visible = seen_points(scene.mesh, caster, camera, scene.landmarks68_world)
+        depth = camera.project(scene.landmarks68_world)[1]
+        away = {name: distance_transform_edt(region != number[name]) for name in (*FEATURES, "hair")}
+        away = {name: a if (region == number[name]).any() else np.full(a.shape, np.inf) for name, a in away.items()}
+        for feature, rows in FEATURES.items():
+            for row in rows:
+                if visible[row]:
+                    x, y = pixels[row].astype(int)
+                    mm = 1e3 * depth[row] / camera.intrinsics[0, 0]
+                    yield feature, row, mm, {name: mm * a[y, x] for name, a in away.items()}
+
+
+@pytest.mark.slow
+def test_every_visible_landmark_lies_in_or_next_to_its_own_feature():
+    near, total = 0, 0
+    for index in range(3):
+        scene = draw_scene(SceneSettings(seed=5, size=SIZE, views=3, samples=1), index)
+        for feature, row, mm_per_pixel, away in distances(scene):
+            if away["hair"] < mm_per_pixel and feature == "brow":
+                continue  # a fringe hides what lies below
+            total += 1
+            near += away[feature] < 2.0 + mm_per_pixel
+            others = min(d for name, d in away.items() if name not in (feature, "hair"))
+            assert away[feature] <= others, (index, row, away)
+            # The corners of the eye are skin here: the ball begins up to 8 mm farther in. In profile, lips that face
+            # away count as seen by a landmark but not by a pixel. Half a pixel's diagonal for the raster.
+            assert away[feature] < 9.0 + mm_per_pixel, (index, row, away)
+    assert total > 150
+    # Landmarks stand on outlines: two millimetres are the width of a lash line, and a pixel is the raster's.
+    assert near > 0.85 * total
