@@ -77,9 +77,10 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
         write_avatar(journey.avatar, fresh)
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
         portrait = journey.portrait
-        # The field's own mask and photo: the figures of file and field then differ by the file alone.
+        # As the field was seen, with shadows or without: the figures of file and field then differ by the file alone.
+        shadows = getattr(journey.appearance, "shadowed", False)
         exported = measure_exported(
-            fresh / "avatar.glb", journey.view.final, portrait.image_linear, portrait.mask, shadows=False
+            fresh / "avatar.glb", journey.view.final, portrait.image_linear, portrait.mask, shadows=shadows
         )
         pictures = _pictures(journey, exported)
         for name, pixels in pictures.items():

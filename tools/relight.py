@@ -45,7 +45,9 @@ def parser() -> argparse.ArgumentParser:
     moves.add_argument("--orbit", type=int, metavar="N", help="N frames; the camera goes once round the head")
     p.add_argument("--fps", type=float, default=18.0, help="frames a second (default: 18)")
     camera = p.add_argument_group("camera")
-    camera.add_argument("--camera", type=Path, metavar="transforms.json", help="default: the portrait's own")
+    chosen = camera.add_mutually_exclusive_group()
+    chosen.add_argument("--camera", type=Path, metavar="transforms.json", help="default: the portrait's own")
+    chosen.add_argument("--framed", action="store_true", help="the whole avatar from the front, instead")
     camera.add_argument("--frame", type=int, default=0, metavar="I", help="which of its frames (default: 0)")
     camera.add_argument("--size", type=int, metavar="PX", help="longest side, 16 to 4096 (default: the camera's)")
     material = p.add_argument_group("material")
@@ -74,7 +76,7 @@ def body(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from sira_assets.relight.cameras import portrait_camera, with_longest_side
+    from sira_assets.relight.cameras import framing_camera, portrait_camera, with_longest_side
     from sira_assets.relight.frame import GREY, Backdrop, encode_frame
     from sira_assets.relight.glb_model import read_avatar
     from sira_assets.relight.light_source import LightSource, own_light, read_light_source
@@ -88,7 +90,9 @@ def body(args: argparse.Namespace) -> int:
         check_movie(args.out)
     edit = MaterialEdit(args.specular_scale, args.roughness, args.albedo_gain, args.albedo_tint)
     model = edit_material(read_avatar(args.avatar), edit)
-    if args.camera is None:
+    if args.framed:
+        camera, looked = framing_camera(model, args.size or 512), "framing the head"
+    elif args.camera is None:
         camera, own = portrait_camera(model, size=args.size)
         looked = "the portrait's" if own else "framing the head"
     else:

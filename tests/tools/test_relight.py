@@ -51,6 +51,8 @@ def test_a_still_in_each_form(avatar, tmp_path):
     assert picture.shape == (24, 24, 3)
     assert picture[12, 12].max() > 0
     assert picture[0, 0].max() == 0
+    assert run(avatar, "--framed", "--size", 32, "--out", tmp_path / "f.png") == 0
+    assert pixels(tmp_path / "f.png")[2:-2, 2:-2].max(-1).mean() > 1.3 * picture.max(-1).mean()  # it fills the picture
     assert np.array_equal(picture, pixels(tmp_path / "both" / "relit.png"))
     linear = read_exr(tmp_path / "a.exr")
     assert np.array_equal(linear, read_exr(tmp_path / "both" / "relit.exr"))
