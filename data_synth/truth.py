@@ -54,7 +54,7 @@ def region_map(rays: RayScene, camera: Camera, regions) -> np.ndarray:
     """(H, W) uint8 region under each pixel centre, `BACKGROUND` where nothing is hit."""
     hits = rays.first_hits(*camera.rays_world())
     out = np.full(camera.height * camera.width, BACKGROUND, np.uint8)
-    out[hits.ray] = regions(hits.coordinates)
+    out[hits.ray[hits.own]] = regions(hits.coordinates[hits.own])
     return out.reshape(camera.height, camera.width)
 
 
@@ -90,7 +90,7 @@ def visibility_maps(
     )
     falls = irradiance_per_lobe(hits.normal, light.axis, light.sharpness) > 1e-9 * head_on
     out = np.zeros((len(light), camera.height * camera.width), np.float32)
-    out[:, hits.ray] = np.where(falls, lit.visibility, 0.0).T
+    out[:, hits.ray] = np.where(falls & hits.own[:, None], lit.visibility, 0.0).T
     return out.reshape(len(light), camera.height, camera.width)
 
 
