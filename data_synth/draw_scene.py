@@ -8,18 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_canonical
-from data_synth.light_rigs import sample_rig
-from data_synth.lights import Rig, face_luminance, sample_exposure
-from data_synth.render import RayScene, RenderConfig, Surface, render
-from data_synth.render_source import LUMINANCE
+from data_synth.occluders import sample_occluder
+from data_synth.render import Occluder, RayScene, RenderConfig, Surface, render
 from data_synth.scan_back import without_back
+from data_synth.scene_light import sample_scene_light
 from data_synth.scene_settings import SceneSettings
 from data_synth.subject import Subject, procedural_subject
 from data_synth.truth import full_truth
 from data_synth.write_scene import SynthScene
 from sira_assets.mesh.raycast import Raycaster
+from sira_assets.scene.camera import Camera
 from sira_assets.scene.canonical import similarity_scale, transform_points
-from sira_assets.scene.sg_light import SGLight
 
 # One value a scene, chosen to reach from oily to dry skin around the 0.4 to 0.5 that real heads are rendered with.
 ROUGHNESS_RANGE = (0.32, 0.52)
@@ -39,7 +38,7 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
         subject = scan_subject(settings.scan)
     world_from_canonical = _pose(rng_pose, subject)
     framed = subject.mesh.vertices[subject.mesh.vertices[:, 1] > FRAMED_ABOVE_M]
-    camera_config = CameraConfig(width=settings.size, height=settings.size)
+    camera_config = CameraConfig(width=settings.size, height=settings.size, crops=settings.crops)
     if subject.around_yaw_deg is not None:
         camera_config = replace(camera_config, around_yaw=min(subject.around_yaw_deg, camera_config.around_yaw))
     cameras = sample_cameras(rng_pose, framed, world_from_canonical, settings.views, camera_config)
@@ -47,21 +46,24 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
     face = np.linalg.norm(subject.mesh.vertices - subject.landmarks["nose_tip"], axis=1) < FACE_RADIUS_M
     rotation = world_from_canonical[:3, :3] / similarity_scale(world_from_canonical)
     roughness = float(rng_light.uniform(*ROUGHNESS_RANGE))
-    rig, light = _exposed_light(rng_light, subject, face, rotation)
-    second_rig, second_light = _exposed_light(rng_light, subject, face, rotation)
-
     mesh = subject.mesh.transformed(world_from_canonical)
+    lit = (mesh, subject.vertex_albedo, face, rotation)
+    first, second = sample_scene_light(rng_light, *lit, settings.panoramas), sample_scene_light(rng_light, *lit)
+    light = first.gaussians
     closed = mesh if subject.closed is subject.mesh else subject.closed.transformed(world_from_canonical)
     rendered = subject.rendered.transformed(world_from_canonical)
-    rays = RayScene(Surface(rendered, subject.material_coordinates, subject.material, roughness))
+    occluder = None
+    if rng_pose.random() < settings.occluders:
+        occluder = _held_before(rng_pose, subject, cameras[0], world_from_canonical)
+    rays = RayScene(Surface(rendered, subject.material_coordinates, subject.material, roughness, occluder))
     config = RenderConfig(settings.samples, settings.supersample)
-    renderings = [render(rays, camera, light, rng_render, config) for camera in cameras]
+    renderings = [render(rays, camera, first.rendered, rng_render, config) for camera in cameras]
     if closed is not mesh:
         caster = Raycaster(mesh)
         renderings = [without_back(r, c, caster, mesh) for r, c in zip(renderings, cameras, strict=True)]
     relight = None
     if settings.kind == "eval":
-        relight = (second_light, render(rays, cameras[0], second_light, rng_render, config))
+        relight = (second.gaussians, render(rays, cameras[0], second.rendered, rng_render, config))
     full = None
     if settings.truth == "full":
         names = subject.region_names
@@ -75,6 +77,7 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
         cameras=cameras,
         renderings=renderings,
         light=light,
+        envmap=first.envmap,
         roughness=roughness,
         canonical_from_world=np.linalg.inv(world_from_canonical),
         landmarks_world={n: transform_points(world_from_canonical, p) for n, p in subject.landmarks.items()},
@@ -85,8 +88,9 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
         provenance={
             "settings": settings.described(),
             "index": index,
-            "rig": rig.name,
-            "relight_rig": second_rig.name if relight else None,
+            "rig": first.name,
+            "relight_rig": second.name if relight else None,
+            "occluder": None if occluder is None else occluder.kind,
             **subject.provenance,
         },
     )
@@ -100,16 +104,16 @@ def _pose(rng: np.random.Generator, subject: Subject) -> np.ndarray:
     return out
 
 
+def _held_before(
+    rng: np.random.Generator, subject: Subject, camera: Camera, world_from_canonical: np.ndarray
+) -> Occluder:
+    """Something between the face and `camera`, in the world."""
+    centre = np.mean([subject.landmarks[name] for name in subject.landmarks], axis=0)
+    eye = transform_points(np.linalg.inv(world_from_canonical), camera.centre_world[None])[0]
+    towards = (eye - centre) / np.linalg.norm(eye - centre)
+    held = sample_occluder(rng, subject.mesh.vertices, centre, towards)
+    return replace(held, mesh=held.mesh.transformed(world_from_canonical))
+
+
 def _moved(matrix: np.ndarray, points: np.ndarray | None) -> np.ndarray | None:
     return None if points is None else transform_points(matrix, points)
-
-
-def _exposed_light(
-    rng: np.random.Generator, subject: Subject, face: np.ndarray, rotation: np.ndarray
-) -> tuple[Rig, SGLight]:
-    """A rig, and its light in the world, bright enough for the face to be well exposed."""
-    rig = sample_rig(rng)
-    light = rig.light()
-    target = sample_exposure(rng, float((subject.vertex_albedo[face] @ LUMINANCE).mean()))
-    gain = target / max(face_luminance(subject.mesh, subject.vertex_albedo, light, face), 1e-6)
-    return rig, light.scaled(gain).rotated(rotation)

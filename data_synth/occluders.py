@@ -82,9 +82,11 @@ def _hand(rng):
         x[:, 2] += bend * np.maximum(x[:, 1], 0.0) ** 2 / length
         turn = -(k - 1.5) * spread
         x[:, :2] = x[:, :2] @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]).T
-        parts.append((x + [(k - 1.5) * SPACING_M, 0.0, 0.0], np.asarray(finger.faces)))
+        parts.append((x + np.array([(k - 1.5) * SPACING_M, 0.0, 0.0]), np.asarray(finger.faces)))
     palm = trimesh.creation.icosphere(3, 1.0)
-    parts.append((np.asarray(palm.vertices) * [0.042, 0.052, 0.014] + [0.0, -0.045, 0.0], np.asarray(palm.faces)))
+    parts.append(
+        (np.asarray(palm.vertices) * [0.042, 0.052, 0.014] - np.array([0.0, 0.045, 0.0]), np.asarray(palm.faces))
+    )
     start = np.cumsum([0, *(len(x) for x, _ in parts)])
     return np.concatenate([x for x, _ in parts]), np.concatenate(
         [f + s for (_, f), s in zip(parts, start, strict=False)]

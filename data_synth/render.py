@@ -239,8 +239,10 @@ def render(
     if config.supersample > 1:
         hits = scene.first_hits(*camera.rays_world(grid))
         diffuse, specular_f0 = scene.material_at(hits)
-    source = SGSource(light) if isinstance(light, SGLight) else light
-    shading = source.irradiance(hits.normal) @ source.colour / np.pi
+        source = SGSource(light) if isinstance(light, SGLight) else light
+        shading = source.irradiance(hits.normal) @ source.colour / np.pi
+    else:
+        shading = lit.irradiance_unshadowed / np.pi
     facing = np.where((hits.normal * hits.to_camera).sum(1, keepdims=True) < 0, -hits.normal, hits.normal)
     depth = camera.project(hits.x_world)[1]
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from data_synth.render import RenderConfig
+from data_synth.scene_light import PanoramaFile
 from sira_assets.errors import InputError
 
 KINDS = ("train", "eval", "scan")
@@ -52,7 +53,8 @@ class ScanSource:
 class SceneSettings:
     """What a data set's scenes have in common: views, size in pixels, light samples and sub-pixel samples.
 
-    `truth`: "full" writes all that is known, "train" only what training reads.
+    `truth`: "full" writes all that is known, "train" only what training reads. `crops`, `occluders`: shares of scenes
+    whose picture cuts the head, or where something is held before it. `panoramas`: light every scene by one of these.
     """
 
     kind: str = "train"
@@ -63,6 +65,9 @@ class SceneSettings:
     supersample: int = 1
     truth: str = "full"
     scan: ScanSource | None = None
+    crops: float = 0.0
+    occluders: float = 0.0
+    panoramas: tuple[PanoramaFile, ...] = ()
 
     def __post_init__(self):
         RenderConfig(self.samples, self.supersample)
@@ -73,6 +78,12 @@ class SceneSettings:
                 received=f"kind {self.kind}, truth {self.truth}, views {self.views}, size {self.size}, "
                 f"seed {self.seed}",
                 remedy="choose such values",
+            )
+        if not (0.0 <= self.crops <= 1.0 and 0.0 <= self.occluders <= 1.0):
+            raise InputError(
+                expected="shares of crops and occluders between 0 and 1",
+                received=f"crops {self.crops}, occluders {self.occluders}",
+                remedy="choose such shares",
             )
         if (self.kind == "scan") != (self.scan is not None):
             raise InputError(expected="a scan for kind scan, and for no other", received=self.kind, remedy="give one")
@@ -91,6 +102,7 @@ class SceneSettings:
     def described(self) -> dict:
         """The settings for a file, without paths of this machine; equal descriptions give equal scenes."""
         out = asdict(self) | {"generator": generator_fingerprint()}
+        out["panoramas"] = [panorama.described() for panorama in self.panoramas]
         if self.scan is None:
             del out["scan"]
         else:

@@ -9,6 +9,7 @@ from data_synth.render import Rendering
 from data_synth.truth import FullTruth
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.scene.camera import Camera
+from sira_assets.scene.envmap import EnvironmentMap
 from sira_assets.scene.sg_light import SGLight
 
 
@@ -21,7 +22,8 @@ class SynthScene:
     mesh : world metres; vertex_albedo (V, 3) linear
     closed : watertight, its first faces those of `mesh`; `mesh` itself where that is closed
     cameras, renderings : one of each a frame; all cameras have the same intrinsics
-    light, roughness : what the renderings were made with
+    light, roughness : what the renderings were made with; under a panorama, the gaussians that stand for it
+    envmap : the panorama, exactly as rendered, or None where `light` is exact
     canonical_from_world : (4, 4) similarity
     landmarks_world : the nine names of the canonical frame -> (3,)
     landmarks68_world : (68, 3) iBUG, or None; anchors_world (A, 3) dense correspondences, none for a scan
@@ -36,6 +38,7 @@ class SynthScene:
     cameras: list[Camera]
     renderings: list[Rendering]
     light: SGLight
+    envmap: EnvironmentMap | None
     roughness: float
     canonical_from_world: np.ndarray
     landmarks_world: Mapping[str, np.ndarray]

@@ -16,7 +16,7 @@ from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.numerics.colour import srgb_from_linear
 from sira_assets.scene.camera import Camera
-from sira_assets.scene.envmap import envmap_from_sg, write_envmap
+from sira_assets.scene.envmap import EnvironmentMap, envmap_from_sg, write_envmap
 from sira_assets.scene.image import write_exr, write_png
 from sira_assets.scene.sg_light import SGLight
 
@@ -50,7 +50,7 @@ def write_truth(scene: SynthScene, folder: Path) -> None:
     write_bytes(folder / "mesh.ply", ply_bytes(scene.mesh, colours))
     if scene.closed is not scene.mesh:
         write_bytes(folder / "mesh_closed.ply", ply_bytes(scene.closed, None))
-    write_light(scene.light, folder, envmap=scene.full is not None)
+    write_light(scene.light, folder, envmap=scene.full is not None, exact=scene.envmap)
     brdf = {
         "roughness": scene.roughness,
         "alpha": scene.roughness**2,
@@ -146,11 +146,11 @@ def write_picture(linear: np.ndarray, stem: Path, *, exr: bool) -> None:
     write_png(stem.with_suffix(".png"), srgb_from_linear(np.clip(linear, 0.0, 1.0)))
 
 
-def write_light(light: SGLight, folder: Path, *, envmap: bool) -> None:
-    """lights.json and, with `envmap`, envmap.exr."""
+def write_light(light: SGLight, folder: Path, *, envmap: bool, exact: EnvironmentMap | None = None) -> None:
+    """lights.json and, with `envmap` or where it is an `exact` map that the gaussians stand for, envmap.exr."""
     write_json(folder / "lights.json", light.to_dict())
-    if envmap:
-        write_envmap(folder / "envmap.exr", envmap_from_sg(light, ENVMAP_HEIGHT))
+    if envmap or exact is not None:
+        write_envmap(folder / "envmap.exr", exact or envmap_from_sg(light, ENVMAP_HEIGHT))
 
 
 def write_json(path: Path, data: dict) -> None:

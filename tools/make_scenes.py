@@ -30,6 +30,20 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--size", type=int, default=256, help="width and height in pixels (default 256)")
     out.add_argument("--samples", type=int, default=64, help="light directions a sample point (default 64)")
     out.add_argument("--supersample", type=int, default=1, help="sample points a pixel: 1, 4, 9, 16 (default 1)")
+    out.add_argument(
+        "--panorama",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="light every scene by one of these .exr or .hdr lat-long panoramas, turned about the vertical at random",
+    )
+    out.add_argument(
+        "--crops", type=float, default=0.0, metavar="SHARE", help="of scenes that cut the head (default 0)"
+    )
+    out.add_argument(
+        "--occluders", type=float, default=0.0, metavar="SHARE", help="of scenes with a hand or thing before the face"
+    )
     out.add_argument("--truth", choices=("full", "train"), default="full", help="train: only what training reads")
     out.add_argument("--workers", type=int, default=2, help="processes, one thread each (default 2)")
     out.add_argument(
@@ -105,6 +119,32 @@ def scan_source(arguments: argparse.Namespace):
     )
 
 
+def panorama_file(path: Path, quiet: bool):
+    """A panorama, with the spherical gaussians that lights.json will hold for it.
+
+    Raises
+    ------
+    InputError : it cannot be read, or is black.
+    """
+    import json
+
+    from data_synth.render_panorama import PanoramaSource
+    from data_synth.scene_light import PanoramaFile, load_panorama
+    from sira_assets.errors import InputError
+    from sira_assets.fit.panorama import fit_panorama
+
+    path = path.resolve()
+    if not path.is_file():
+        raise InputError(expected=f"a panorama {path}", received="no such file", remedy="give it with --panorama")
+    envmap = load_panorama(str(path))
+    PanoramaSource(envmap)
+    found = fit_panorama(envmap)
+    if not quiet:
+        figures = f"{len(found.light)} gaussians, irradiance off by {100 * found.irradiance_residual:.1f} % RMS"
+        print(f"{path.name}: {figures}", file=sys.stderr)
+    return PanoramaFile(str(path), json.dumps(found.light.to_dict()))
+
+
 def make_scenes(arguments: argparse.Namespace) -> int:
     """Write the scenes that are missing, with a progress bar on stderr."""
     from data_synth.dataset import claim_folder, write_dataset
@@ -126,6 +166,9 @@ def make_scenes(arguments: argparse.Namespace) -> int:
         supersample=arguments.supersample,
         truth=arguments.truth,
         scan=scan_source(arguments),
+        crops=arguments.crops,
+        occluders=arguments.occluders,
+        panoramas=tuple(panorama_file(path, arguments.quiet) for path in arguments.panorama),
     )
     if settings.scan is not None:
         from data_synth.import_scan import scan_subject

@@ -143,7 +143,7 @@ def measure_scene(mi, folder: Path, samples: int) -> SceneFigures:
 
     Raises
     ------
-    InputError : the scene has several samples a pixel, or a file is missing or damaged.
+    InputError : the scene has several samples a pixel, a panorama or an occluder, or a file is missing or damaged.
     """
     import numpy as np
 
@@ -156,7 +156,14 @@ def measure_scene(mi, folder: Path, samples: int) -> SceneFigures:
     from sira_assets.scene.sg_light import SGLight
 
     begin = time.perf_counter()
-    settings = read_json(folder / "gt" / "provenance.json").get("settings", {})
+    provenance = read_json(folder / "gt" / "provenance.json")
+    settings = provenance.get("settings", {})
+    if settings.get("panoramas") or provenance.get("occluder"):
+        raise InputError(
+            expected="scenes lit by spherical gaussians, with nothing held before the face",
+            received=f"a panorama or something held in {folder.name}",
+            remedy="make them without --panorama and --occluders",
+        )
     if settings.get("supersample", 1) != 1:
         raise InputError(
             expected="scenes with one sample at each pixel's centre",

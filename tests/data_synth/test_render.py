@@ -1,9 +1,11 @@
 """The renderer on a sphere: geometry, coverage, determinism, independence of the world's origin."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from data_synth.render import RayScene, RenderConfig, Surface, render
+from data_synth.render import Occluder, RayScene, RenderConfig, Surface, render
 from data_synth.render_irradiance import irradiance_per_lobe
 from sira_assets.errors import InputError
 from sira_assets.mesh.triangle_mesh import TriangleMesh
@@ -113,6 +115,33 @@ def test_a_roof_casts_its_shadow():
     assert bright.any()
     assert out.diffuse_radiance[dark].max() < 0.02 * out.diffuse_unshadowed[dark].min()
     assert out.diffuse_radiance[bright] == pytest.approx(out.diffuse_unshadowed[bright], rel=0.02)
+
+
+def test_an_occluder_is_seen_and_casts_shadows_but_is_no_part_of_the_truth():
+    """A plate between ball and camera, under light from its right."""
+    import trimesh
+
+    plate = trimesh.creation.box([0.06, 0.06, 0.01])
+    plate.apply_translation([0.03, 0.02, 0.16])
+    held = Occluder("plate", TriangleMesh(plate.vertices, plate.faces), np.array([0.1, 0.6, 0.1]))
+    free, blocked = sphere(), replace(sphere(), occluder=held)
+    light = SGLight([[0.6, 0.3, 0.75]], [300.0], [[80, 80, 80]])
+    without, with_plate = (
+        render(RayScene(s), camera(), light, np.random.default_rng(0), RenderConfig(32)) for s in (free, blocked)
+    )
+    hidden = without.mask & ~with_plate.mask
+    assert 100 < hidden.sum() < 0.5 * without.mask.sum()
+    assert not (with_plate.mask & ~without.mask).any()
+    for name in ("diffuse_radiance", "specular_radiance", "diffuse_unshadowed", "albedo", "depth", "alpha"):
+        assert not getattr(with_plate, name)[hidden].any(), name
+    # What stands there is green, and darkens the ball behind it where both are seen.
+    seen = with_plate.image[hidden]
+    assert (seen[:, 1] > 3 * seen[:, 0]).mean() > 0.9
+    both = with_plate.mask & (without.diffuse_radiance.max(-1) > 0.01)
+    assert np.array_equal(with_plate.albedo[both], without.albedo[both])
+    darker = with_plate.diffuse_radiance[both].max(-1) < 0.5 * without.diffuse_radiance[both].max(-1)
+    assert darker.any()
+    assert with_plate.diffuse_unshadowed[both] == pytest.approx(without.diffuse_unshadowed[both])
 
 
 def test_a_camera_that_looks_away_sees_black():

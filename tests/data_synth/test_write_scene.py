@@ -55,6 +55,7 @@ def scene() -> SynthScene:
         cameras=cameras,
         renderings=renderings,
         light=light,
+        envmap=None,
         roughness=0.4,
         canonical_from_world=np.linalg.inv(world_from_canonical),
         landmarks_world=names,
