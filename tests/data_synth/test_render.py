@@ -141,7 +141,8 @@ def test_an_occluder_is_seen_and_casts_shadows_but_is_no_part_of_the_truth():
     assert np.array_equal(with_plate.albedo[both], without.albedo[both])
     darker = with_plate.diffuse_radiance[both].max(-1) < 0.5 * without.diffuse_radiance[both].max(-1)
     assert darker.any()
-    assert with_plate.diffuse_unshadowed[both] == pytest.approx(without.diffuse_unshadowed[both])
+    # The middle of what rays are cast in moves with the plate: hits move by single-precision rounding.
+    assert with_plate.diffuse_unshadowed[both] == pytest.approx(without.diffuse_unshadowed[both], abs=3e-6)
 
 
 def test_a_camera_that_looks_away_sees_black():
