@@ -122,7 +122,7 @@ CAPTIONS = {
     "normals": "x right, y up, z towards the camera",
     "albedo": "diffuse albedo, sRGB-encoded",
     "specular": "specular albedo, white is F0 = 0.08",
-    "irradiance": "the found light on the found normals",
+    "irradiance": "the found light on the found normals, under the shadows that the head casts on itself",
     "diffuse": "diffuse radiance alone",
     "highlights": "specular radiance alone",
     "final": "diffuse and specular together",

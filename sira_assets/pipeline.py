@@ -1,4 +1,4 @@
-"""The journey, readable in one screen: portrait -> head and light -> mesh -> atlas -> textures -> avatar -> files.
+"""The journey, readable in one screen: portrait -> shape -> surface -> material, light -> mesh, atlas, maps -> avatar.
 
 Each stage adds one immutable value and its wall-clock time.
 """
@@ -13,7 +13,8 @@ import numpy as np
 from sira_assets.asset.avatar import Avatar
 from sira_assets.errors import InputError
 from sira_assets.fields.prior import Prior, load_prior
-from sira_assets.fit.appearance import AppearanceFit, AppearanceFitConfig, fit_appearance
+from sira_assets.fit.appearance import AppearanceFit, fit_appearance, unlit_head
+from sira_assets.fit.appearance_losses import AppearanceFitConfig
 from sira_assets.fit.geometry import GeometryFit, GeometryFitConfig, fit_geometry
 from sira_assets.fit.stored import fit_key, keep_appearance, keep_geometry, kept_appearance, kept_geometry
 from sira_assets.mesh.clean import CleanConfig, clean_mesh
@@ -22,6 +23,7 @@ from sira_assets.mesh.simplify import simplify_mesh
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.render.shading import ROUGHNESS
 from sira_assets.render.view import ViewRender, render_view
+from sira_assets.render.visibility_table import surface_visibility
 from sira_assets.scene.portrait import Portrait
 from sira_assets.texture.bake import BakeConfig, bake
 from sira_assets.texture.unwrap import UnwrapConfig, unwrap
@@ -55,14 +57,25 @@ class Journey:
     seconds: tuple[tuple[str, float], ...]
 
 
-def settings_for(quality: str, *, texture_size: int | None = None, max_triangles: int | None = None, seed: int = 0):
+def settings_for(
+    quality: str,
+    *,
+    texture_size: int | None = None,
+    max_triangles: int | None = None,
+    shadows: bool = True,
+    seed: int = 0,
+) -> Settings:
     """The named presets: how accuracy is paid for with time.
+
+    Parameters
+    ----------
+    shadows : whether the head casts shadows on itself, in the fit, in the bake and in the render
 
     Raises
     ------
     InputError : another name.
     """
-    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(seed=seed)
+    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, seed=seed)
     if quality == "draft":
         g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
@@ -119,7 +132,7 @@ def run(
 
     prior = stage("load prior", load_prior) if prior is None else prior
     prior = prior.to(device)
-    key = fit_key(portrait, prior, repr((settings.geometry, settings.appearance)))
+    key = fit_key(portrait, prior, repr(settings.geometry))
     geometry = kept_geometry(work, key, device=device) if work else None
     if geometry is not None:
         seconds.append(("fit geometry", geometry.seconds))
@@ -128,32 +141,34 @@ def run(
         if work:
             keep_geometry(geometry, work, key)
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    surface = stage("extract", extract_mesh, unlit_head(geometry, prior), settings.extract, device=device)
+    surface = stage("clean", clean_mesh, surface, settings.clean)
+    key = fit_key(portrait, prior, repr((settings.geometry, settings.extract, settings.clean, settings.appearance)))
     appearance = kept_appearance(work, key, device=device) if work else None
     if appearance is not None:
         seconds.append(("fit appearance", appearance.seconds))
     else:
-        appearance = stage("fit appearance", fit_appearance, posed, geometry, prior, settings.appearance)
+        appearance = stage("fit appearance", fit_appearance, posed, geometry, prior, surface, settings.appearance)
         if work:
             keep_appearance(appearance, work, key)
-    head, light = appearance.head, appearance.light
-    surface = stage("extract", extract_mesh, head, settings.extract, device=device)
-    surface = stage("clean", clean_mesh, surface, settings.clean)
+    head, light, pose = appearance.head, appearance.light, geometry.canonical_from_world
+    shadows = stage("shadows", surface_visibility, surface, light, pose) if appearance.shadowed else None
     mesh = stage("simplify", simplify_mesh, surface, settings.max_triangles)
     atlas = stage("unwrap", unwrap, mesh, settings.unwrap)
-    world_from_canonical = np.linalg.inv(geometry.canonical_from_world)
-    textures = stage("bake", bake, head, mesh, atlas, light, world_from_canonical, settings.bake, device=device)
+    to_world = np.linalg.inv(pose)
+    there = (head, mesh, atlas, light, to_world)
+    textures = stage("bake", bake, *there, settings.bake, shadows=shadows, device=device)
     avatar = Avatar(
-        mesh.transformed(world_from_canonical),
+        mesh.transformed(to_world),
         atlas,
         textures,
         light,
         ROUGHNESS,
-        geometry.canonical_from_world,
+        pose,
         portrait.metres_per_unit,
         portrait.name,
         portrait.camera,
     )
-    view = stage(
-        "render", render_view, head, surface, portrait.camera, geometry.canonical_from_world, light, device=device
-    )
+    camera = portrait.camera
+    view = stage("render", render_view, head, surface, camera, pose, light, shadows=shadows, device=device)
     return Journey(posed, geometry, appearance, surface, avatar, view, tuple(seconds))

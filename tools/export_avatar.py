@@ -30,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
     focal.add_argument("--fov", type=float, dest="fov_deg", metavar="DEG", help="horizontal field of view instead")
     p.add_argument("--texture-size", type=int, help="texels a side, 64 to 8192")
     p.add_argument("--max-triangles", type=int, help="at least 100")
+    p.add_argument("--no-shadows", dest="shadows", action="store_false", help="light without the head's cast shadows")
     p.add_argument("--prior", type=Path, help="trained models (default: the ones that ship with the package)")
     p.add_argument("--resume", action="store_true", help="go on from the last finished fit of a stopped run")
     p.add_argument("--overwrite", action="store_true", help="replace what --out holds")
@@ -62,7 +63,11 @@ def body(args: argparse.Namespace) -> int:
 
     device = _cli.device(args.device)
     settings = settings_for(
-        args.quality, texture_size=args.texture_size, max_triangles=args.max_triangles, seed=args.seed
+        args.quality,
+        texture_size=args.texture_size,
+        max_triangles=args.max_triangles,
+        shadows=args.shadows,
+        seed=args.seed,
     )
     check_target(args.out, overwrite=args.overwrite)
     prior = load_prior(args.prior)

@@ -85,6 +85,8 @@ def keep_appearance(fit: AppearanceFit, folder: Path, key: str) -> None:
     facts = {
         "key": key,
         "light": fit.light.to_dict(),
+        "shadowed": fit.shadowed,
+        "warnings": fit.warnings,
         "history": fit.history,
         "decisions": [asdict(decision) for decision in fit.decisions],
         "seconds": fit.seconds,
@@ -105,4 +107,12 @@ def kept_appearance(folder: Path, key: str, *, device: str | torch.device = "cpu
         return None
     history = tuple((step, losses) for step, losses in facts["history"])
     decisions = tuple(FitDecision(**decision) for decision in facts["decisions"])
-    return AppearanceFit(head, SGLight.from_dict(facts["light"]), history, decisions, facts["seconds"])
+    return AppearanceFit(
+        head,
+        SGLight.from_dict(facts["light"]),
+        facts["shadowed"],
+        history,
+        decisions,
+        tuple(facts["warnings"]),
+        facts["seconds"],
+    )

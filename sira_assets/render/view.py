@@ -13,6 +13,7 @@ from sira_assets.mesh.project import project_points
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.render.shading import ROUGHNESS, shade
+from sira_assets.render.visibility import SurfaceVisibility
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.canonical import transform_points
 from sira_assets.scene.sg_light import SGLight
@@ -44,6 +45,7 @@ def render_view(
     light: SGLight,
     *,
     roughness: float = ROUGHNESS,
+    shadows: SurfaceVisibility | None = None,
     device: str = "cpu",
     chunk: int = 65536,
 ) -> ViewRender:
@@ -56,6 +58,7 @@ def render_view(
     ----------
     mesh_canonical : the field's zero set as triangles, canonical metres
     light : in the scene's world
+    shadows : what the mesh's vertices see of the light (`surface_visibility`); no cast shadows if None
     """
     origins, directions = camera.rays_world()
     rotation = canonical_from_world[:3, :3] / np.cbrt(np.linalg.det(canonical_from_world[:3, :3]))
@@ -64,6 +67,7 @@ def render_view(
     seen = np.flatnonzero(hits.hit)
     on_surface = project_points(field, o[seen] + hits.t[seen, None] * d[seen], device=device)
     material = query(field, on_surface.points, material=True, device=device)
+    visibility = None if shadows is None else shadows.at(hits.face[seen], hits.barycentric[seen])
     normals = on_surface.normals @ rotation
     view = -directions[seen]
     # A smooth normal may turn away at the silhouette although the triangle was hit; light it as seen edge-on.
@@ -83,6 +87,7 @@ def render_view(
                 tensor(material.specular_f0),
                 *lobes,
                 roughness=roughness,
+                visibility=None if visibility is None else tensor(visibility),
             )
         for column, value in zip(parts, (s.irradiance, s.diffuse_radiance, s.specular_radiance), strict=True):
             column.append(value.numpy())

@@ -5,6 +5,8 @@ between p and the distant light, else 0. So `irradiance(..., visibility=S)` is e
 S of a constant light (lambda = 0).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from sira_assets.mesh.raycast import Raycaster
@@ -87,3 +89,32 @@ def ambient_occlusion(
     """The share (N,) of a constant light's irradiance that reaches each point; as `lobe_visibility`."""
     up = np.array([[0.0, 0.0, 1.0]])
     return lobe_visibility(raycaster, points, normals, up, np.zeros(1), rays=rays, seed=seed, offset=offset)[:, 0]
+
+
+@dataclass(frozen=True)
+class SurfaceVisibility:
+    """The shares of a light's lobes at a mesh's vertices, for whatever is shaded on that surface.
+
+    Parameters
+    ----------
+    mesh : its triangles; shares are linear over each
+    share : (V, M) float32
+    """
+
+    mesh: TriangleMesh
+    share: np.ndarray
+
+    def at(self, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+        """(N, M) at points of given faces (N,) and weights (N, 3)."""
+        return np.einsum("nkm,nk->nm", self.share[self.mesh.faces[face]], barycentric.astype(np.float32))
+
+    def near(self, raycaster: Raycaster, points: np.ndarray) -> np.ndarray:
+        """(N, M) at the points of the mesh nearest to (N, 3) points; the raycaster is of this mesh."""
+        closest = raycaster.closest(points)
+        a, b, c = (self.mesh.vertices[self.mesh.faces[closest.face, k]] for k in range(3))
+        u, v, w = b - a, c - a, closest.points - a
+        uu, uv, vv, wu, wv = ((p * q).sum(1) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+        area = np.maximum(uu * vv - uv * uv, 1e-300)
+        second, third = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
+        weights = np.clip(np.stack([1.0 - second - third, second, third], 1), 0.0, 1.0)
+        return self.at(closest.face, weights / weights.sum(1, keepdims=True))

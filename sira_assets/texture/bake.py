@@ -4,7 +4,8 @@ Notation: a texel's mean point on the mesh is moved onto the field's zero set (a
 taken there; the same move carries the texel's k x k surface samples, whose albedos are averaged. So the maps carry the
 field's detail and not the triangles'. Normals are not supersampled: it costs four times the network gradients, and a
 field's normals hardly turn within a texel of half a millimetre, while albedos have edges.
-Irradiance E(n) = integral of L(w) max(0, n.w) over the sphere, of the SG light alone, without shadows.
+Irradiance E(n) = integral of L(w) V(w) max(0, n.w) over the sphere, of the SG light alone; V, the head's own cast
+shadows, is 1 where none are given.
 Everything is in the canonical frame.
 """
 
@@ -15,7 +16,9 @@ import numpy as np
 from sira_assets.errors import InputError
 from sira_assets.fields.head_field import HeadField, query
 from sira_assets.mesh.project import ProjectConfig, project_points
+from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.render.visibility import SurfaceVisibility
 from sira_assets.scene.sg_light import SGLight
 from sira_assets.texture.atlas import Atlas, vertex_of_uv
 from sira_assets.texture.raster import AtlasSamples, rasterise
@@ -62,6 +65,7 @@ def bake(
     world_from_canonical: np.ndarray,
     config: BakeConfig = BakeConfig(),
     *,
+    shadows: SurfaceVisibility | None = None,
     device: str = "cpu",
 ) -> TextureSet:
     """Bake albedos, normals and irradiance of `field` over `mesh_canonical`.
@@ -71,6 +75,7 @@ def bake(
     mesh_canonical : the mesh that will be exported, still in canonical metres
     light : in the scene's world frame
     world_from_canonical : (4, 4) similarity; only its rotation matters here
+    shadows : what the full surface sees of this light; the irradiance map is without cast shadows if None
 
     Returns
     -------
@@ -87,8 +92,8 @@ def bake(
         mesh_canonical.vertices[corners], mesh_canonical.normals[corners], frame[..., :3], frame[:, 0, 3]
     )
     size = config.size
-    # Columns: diffuse 3, specular 1, tangent-space normal 3, canonical normal 3.
-    found = np.zeros((size * size, 10))
+    # Columns: diffuse 3, specular 1, tangent-space normal 3, canonical normal 3, position 3.
+    found = np.zeros((size * size, 13))
     coverage = np.zeros(size * size, bool)
     for first in range(0, size, config.rows_per_chunk):
         last = min(first + config.rows_per_chunk, size)
@@ -100,7 +105,8 @@ def bake(
         raise InputError(expected="an atlas that covers some texels", received="none", remedy="unwrap again")
     values = np.zeros((size * size, 10), np.float32)
     values[:, :7] = found[:, :7]
-    values[coverage, 7:] = _irradiance(found[coverage, 7:], light, world_from_canonical)
+    seen = shadows.near(Raycaster(shadows.mesh), found[coverage, 10:]) if shadows is not None else None
+    values[coverage, 7:] = _irradiance(found[coverage, 7:10], light, world_from_canonical, seen)
     maps = fill_empty(values.reshape(size, size, 10), coverage.reshape(size, size))
     return TextureSet(
         diffuse=np.ascontiguousarray(maps[..., :3]),
@@ -134,7 +140,7 @@ def _bake_rows(
     config: BakeConfig,
     device: str,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Texels of a band that have samples, and their (N, 10) values: albedos, tangent-space and canonical normals."""
+    """Texels of a band that have samples, and their (N, 13) values: albedos, both normals, position."""
     texels, local = np.unique(samples.texel, return_inverse=True)
     count = np.bincount(local)[:, None]
 
@@ -152,7 +158,8 @@ def _bake_rows(
     good = np.abs(moved.residual_m) <= 10 * config.project.tolerance_m
     good &= (moved.normals * normal).sum(1) > config.min_cosine
     detail = np.where(good[:, None], moved.normals, normal)
-    position = position + np.where(good[:, None], moved.points - centre, 0.0)[local]
+    shift = np.where(good[:, None], moved.points - centre, 0.0)
+    position = position + shift[local]
     there = query(field, position, material=True, device=device)
     bad = ~(np.isfinite(there.diffuse).all(1) & np.isfinite(there.specular_f0))
     if bad.any():
@@ -162,10 +169,12 @@ def _bake_rows(
             remedy="the weights are damaged or the fit diverged; fit again",
         )
     albedos = mean(np.column_stack([there.diffuse, there.specular_f0]))
-    return texels, np.column_stack([albedos, to_tangent_space(detail, normal, tangent, hand), detail])
+    return texels, np.column_stack([albedos, to_tangent_space(detail, normal, tangent, hand), detail, centre + shift])
 
 
-def _irradiance(normals: np.ndarray, light: SGLight, world_from_canonical: np.ndarray) -> np.ndarray:
+def _irradiance(
+    normals: np.ndarray, light: SGLight, world_from_canonical: np.ndarray, visibility: np.ndarray | None
+) -> np.ndarray:
     """(N, 3) irradiance at canonical unit normals; the light is turned into their frame."""
     if not len(light):
         return np.zeros((len(normals), 3), np.float32)
@@ -183,8 +192,10 @@ def _irradiance(normals: np.ndarray, light: SGLight, world_from_canonical: np.nd
     chunk = max(1, 2_000_000 // len(light))  # normals times lobes held at once
     with torch.no_grad():
         for start in range(0, len(normals), chunk):
-            n = torch.tensor(normals[start : start + chunk], dtype=torch.float32)
-            out.append(irradiance(n, axis, sharpness, amplitude).numpy())
+            rows = slice(start, start + chunk)
+            n = torch.tensor(normals[rows], dtype=torch.float32)
+            seen = None if visibility is None else torch.tensor(visibility[rows])
+            out.append(irradiance(n, axis, sharpness, amplitude, visibility=seen).numpy())
     return np.concatenate(out)
 
 

@@ -20,7 +20,7 @@ class TextureSet:
     diffuse : (S, S, 3) float32 linear Rec. 709 albedo in [0, 1]
     specular_f0 : (S, S) float32 specular albedo at normal incidence (0.04 ks)
     normal_tangent : (S, S, 3) float32 unit, in the frame of `texture.tangents` (glTF's: +X along u, +Y along v)
-    irradiance : (S, S, 3) float32 linear irradiance of the SG light, unshadowed
+    irradiance : (S, S, 3) float32 linear irradiance of the SG light, under the shadows that the bake was given
     coverage : (S, S) bool, texels that some triangle touches
     """
 

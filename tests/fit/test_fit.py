@@ -13,7 +13,7 @@ from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
 from sira_assets.fields.fitted import RefinementConfig
 from sira_assets.fields.prior import CodeStatistics, Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
-from sira_assets.fit.appearance import AppearanceFitConfig
+from sira_assets.fit.appearance_losses import AppearanceFitConfig
 from sira_assets.fit.geometry import GeometryFitConfig, fit_geometry
 from sira_assets.mesh.extract import ExtractConfig
 from sira_assets.texture.bake import BakeConfig

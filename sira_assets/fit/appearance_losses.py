@@ -1,0 +1,159 @@
+"""The loss terms of the appearance fit, and the state that its steps change.
+
+Notation: as in fields/af_sm.py; r_pb = r_d + k_s r_s; a = a_base + k_r a_refine; S_i visibility of lobe i;
+L_reg = mean |a_refine| w with w = l8 max(0, |a_base|_1 - |r_d,base|_1) + l9 |r_s|_1, large in shadow (attached or cast)
+and in highlights, so that neither is baked into the albedo.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from sira_assets.fields.fitted import AlbedoRefinement, RefinementConfig
+from sira_assets.fields.prior import Prior
+from sira_assets.fit.light import FreeLight
+from sira_assets.fit.seen_surface import SurfacePoints
+from sira_assets.fit.shadows import FitShadows, ShadowConfig
+from sira_assets.numerics.srgb import srgb_decode, srgb_encode
+from sira_assets.render.shading import ROUGHNESS, Shading, shade
+from sira_assets.render.visibility_table import VisibilityTable
+
+
+@dataclass(frozen=True)
+class AppearanceFitConfig:
+    """Steps of each stage, pixels a step, rates and weights (l8, l9 in the paper).
+
+    Parameters
+    ----------
+    max_surface : seen points that the refinement learns from; all other stages make do with `early_surface` of them
+    shadows : whether the head casts shadows on itself
+    """
+
+    steps_light: int = 150
+    steps_albedo: int = 200
+    steps_specular: int = 150
+    steps_refinement: int = 800
+    pixels: int = 3000
+    max_surface: int = 60000
+    early_surface: int = 15000
+    rate_codes: float = 0.05
+    rate_light: float = 0.03
+    rate_refinement: float = 1.5e-3
+    albedo_prior: float = 3.0e-5
+    light_prior: float = 3.0e-5
+    shadow: float = 1.0
+    highlight: float = 2.0
+    regularity: float = 0.05
+    unseen: float = 0.5
+    shadows: bool = True
+    rays: ShadowConfig = ShadowConfig()
+    refinement: RefinementConfig = RefinementConfig()
+    seed: int = 0
+
+
+class AppearanceLosses:
+    """The loss terms of every step, and what they read: all tensors in it change in place."""
+
+    def __init__(
+        self,
+        config: AppearanceFitConfig,
+        prior: Prior,
+        surface: SurfacePoints,
+        hidden: tuple[Tensor, Tensor],
+        shadows: FitShadows | None,
+    ):
+        device = surface.x.device
+        self.config, self.prior, self.hidden, self.shadows = config, prior, hidden, shadows
+        self.surface = surface
+        step = max(1, len(surface) // config.early_surface)
+        self.early = surface.rows(torch.arange(0, len(surface), step, device=device))
+        # Which points the present stage draws from, what they see, and the share of each lobe when last looked at.
+        self.points, self.table, self.held = self.early, None, None
+        self.model = prior.appearance
+        self.light = FreeLight(prior)
+        self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
+        self.z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
+        feature_size = surface.gamma.shape[-1]
+        self.refinement = AlbedoRefinement(config.refinement, feature_size=feature_size).to(device)
+        self._match_exposure()
+
+    def state(self) -> dict[str, Tensor]:
+        """All that the fit's steps change."""
+        names = ("axis", "log_sharpness", "log_amplitude")
+        own = {name: getattr(self.light, name) for name in names} | {"z_a": self.z_a, "z_s": self.z_s}
+        own |= {f"refinement.{key}": value for key, value in self.refinement.state_dict().items()}
+        return own | (self.shadows.state() if self.shadows is not None else {})
+
+    def enter_early(self) -> None:
+        """Draw from some of the points; shadows of a light that may be anywhere."""
+        self._enter(self.early, None if self.shadows is None else self.shadows.early_table(self.early))
+
+    def aim(self) -> None:
+        """Turn to the light that was found."""
+        if self.shadows is not None:
+            self.shadows.aim(self.light)
+
+    def enter_aimed(self, points: SurfacePoints) -> None:
+        """Draw from these points; shadows of the light that `aim` turned to."""
+        self._enter(points, None if self.shadows is None else self.shadows.aimed_table(points))
+
+    def _enter(self, points: SurfacePoints, table: VisibilityTable | None) -> None:
+        self.points, self.table, self.held = points, table, None
+        self.look()
+
+    @torch.no_grad()
+    def look(self) -> None:
+        """Take the shares of the lobes where they now are."""
+        if self.table is not None:
+            every = torch.arange(len(self.points), device=self.points.x.device)
+            self.held = self.table.share(every, *self.light.lobes()[:2])
+
+    def losses(self, generator: torch.Generator, *, k_s: float, refine: bool) -> dict[str, Tensor]:
+        """Weighted loss terms of one step.
+
+        Parameters
+        ----------
+        k_s : weight of the specular lobe
+        refine : fit a_refine on the frozen base albedo
+        """
+        c, device = self.config, self.points.x.device
+        count = min(c.pixels, len(self.points))
+        rows = torch.randint(len(self.points), (count,), generator=generator, device=device)
+        points = self.points.rows(rows)
+        base = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
+        f0 = self.model.specular_f0(points.x_ref, self.prior.z_s.code(self.z_s))
+        albedo = base
+        if refine:
+            base = base.detach()
+            extra = self.refinement(points.x_ref, points.gamma)
+            albedo = (base + extra).clamp(1e-4, 1.0)
+        lobes = self.light.lobes()
+        seen = None if self.held is None else self.held[rows]
+        shading = shade(points.normals, points.view, albedo, k_s * f0, *lobes, visibility=seen)
+        losses = {
+            "colour": (srgb_encode(shading.radiance) - points.rays.rgb).abs().mean(),
+            "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
+            "light_prior": c.light_prior * self.light.energy(),
+        }
+        if refine:
+            diffuse_base = base * shading.irradiance.detach() / math.pi
+            weight = c.shadow * (base.sum(-1) - diffuse_base.sum(-1)).clamp_min(0.0)
+            weight = weight + c.highlight * shading.specular_radiance.detach().sum(-1)
+            losses["regularity"] = c.regularity * (extra.abs().sum(-1) * weight).mean()
+            pick = torch.randint(len(self.hidden[0]), (512,), generator=generator, device=device)
+            unseen = self.refinement(self.hidden[0][pick], self.hidden[1][pick])
+            losses["unseen"] = c.unseen * unseen.abs().mean()
+        return losses
+
+    @torch.no_grad()
+    def _match_exposure(self) -> None:
+        """Scale the starting light so that the mean albedo under it is as bright as the photo on average."""
+        surface = self.surface
+        albedo = self.model.diffuse(surface.x_ref, surface.gamma, self.prior.z_a.mean)
+        none = torch.zeros_like(albedo[:, 0])
+        lobes = self.light.lobes()
+        shading: Shading = shade(surface.normals, surface.view, albedo, none, *lobes, roughness=ROUGHNESS)
+        gain = srgb_decode(surface.rays.rgb).mean() / shading.radiance.mean().clamp_min(1e-6)
+        self.light.scale(float(gain))
