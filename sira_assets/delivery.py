@@ -78,10 +78,8 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
         portrait = journey.portrait
         # As the field was seen, with shadows or without: the figures of file and field then differ by the file alone.
-        shadows = getattr(journey.appearance, "shadowed", False)
-        exported = measure_exported(
-            fresh / "avatar.glb", journey.view.final, portrait.image_linear, portrait.mask, shadows=shadows
-        )
+        compared = journey.view.final, portrait.image_linear, portrait.mask
+        exported = measure_exported(fresh / "avatar.glb", *compared, shadows=journey.appearance.shadowed)
         pictures = _pictures(journey, exported)
         for name, pixels in pictures.items():
             write_png(fresh / "renders" / f"{name}.png", pixels)
