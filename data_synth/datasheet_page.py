@@ -27,10 +27,10 @@ td.n{text-align:right;white-space:nowrap}.meter{background:var(--bar);height:.7r
 pre{background:var(--card);padding:.6rem;overflow:auto;font-size:.8rem}
 """
 PROCEDURAL = (
-    "procedural heads: no person's scan or photo is in them, only the mean, spread and principal directions of a "
+    "Procedural heads: no person's scan or photo is in them, only the mean, spread and principal directions of a "
     "population's 68 landmarks that they are calibrated against"
 )
-SCANNED = "a head scan that the user of the generator brought; whose it is and what it may be used for, they must say"
+SCANNED = "A head scan that the user of the generator brought; whose it is and what it may be used for, they must say"
 
 
 def page(sheet: Datasheet) -> str:
@@ -43,7 +43,7 @@ def page(sheet: Datasheet) -> str:
             f"{sheet.scenes} scenes, {sheet.pictures} pictures of heads with exact truth. A scene is "
             "one head under one light, seen by several calibrated cameras.",
         ),
-        ("Whom does it show?", "; ".join(sources) + "."),
+        ("Whom does it show?", ". ".join(sources) + "."),
         ("What is it for?", "Training and measuring reconstruction of heads: shape, material and light from pictures."),
         (
             "What is it not for?",

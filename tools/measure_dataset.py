@@ -29,6 +29,7 @@ from _cli import run
 
 MAKE = Path(__file__).resolve().with_name("make_scenes.py")
 POLL_SECONDS = 0.02
+NOISE_SCENES = 3  # with other lights; what noise costs depends on the light
 MITSUBA_SAMPLES = 64  # a pixel; enough for its variance to be measured, the time for another is scaled
 
 
@@ -65,6 +66,8 @@ class NoiseFigures:
     """One view, diffuse light of a white surface: standard deviations relative to the mean, seconds, and the ratio of
     Mitsuba's time at the generator's noise to the generator's."""
 
+    scene: int
+    rig: str
     pixels: int
     generator_seconds: float
     generator_noise: float
@@ -114,7 +117,7 @@ def measure(arguments: argparse.Namespace) -> int:
         else:
             figures, status = [measure_speed(arguments, folder)], 0
             if arguments.noise:
-                figures.append(measure_noise(arguments))
+                figures += [measure_noise(arguments, index) for index in range(NOISE_SCENES)]
     if arguments.json:
         print(json.dumps([asdict(f) for f in figures], indent=1))
     else:
@@ -258,8 +261,8 @@ def measure_speed(arguments: argparse.Namespace, folder: Path) -> SpeedFigures:
     )
 
 
-def measure_noise(arguments: argparse.Namespace) -> NoiseFigures:
-    """The generator and Mitsuba on the same head, camera and light, in one process."""
+def measure_noise(arguments: argparse.Namespace, index: int) -> NoiseFigures:
+    """The generator and Mitsuba on the same head, camera and light, in one process; scene `index` of seed 0."""
     import numpy as np
     from measure_renderer import load_mitsuba
 
@@ -268,7 +271,7 @@ def measure_noise(arguments: argparse.Namespace) -> NoiseFigures:
     from data_synth.scene_settings import SceneSettings
 
     mi = load_mitsuba(1)
-    scene = draw_scene(SceneSettings(size=arguments.size, views=1, samples=8, truth="train"), 0)
+    scene = draw_scene(SceneSettings(size=arguments.size, views=1, samples=8, truth="train"), index)
     camera, mask = scene.cameras[0], scene.renderings[0].mask
 
     def white(x):
@@ -289,6 +292,8 @@ def measure_noise(arguments: argparse.Namespace) -> NoiseFigures:
     inner = binary_erosion(mask, iterations=2)
     generator_noise, mitsuba_noise = (relative_noise(pair, inner) for pair in (generator, mitsuba))
     return NoiseFigures(
+        scene=index,
+        rig=str(scene.provenance["rig"]),
         pixels=int(inner.sum()),
         generator_seconds=generator_seconds,
         generator_noise=generator_noise,

@@ -1,5 +1,6 @@
 """make_scenes.py: same bytes however it is run, resumes, refuses what makes no sense."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -22,17 +23,57 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_bytes_do_not_depend_on_workers_order_or_resumption(tmp_path):
+def test_bytes_do_not_depend_on_workers_order_or_resumption(egg, tmp_path):
+    scan = ("--from-scan", egg, *SMALL)
     at_once, in_parts = tmp_path / "at_once", tmp_path / "in_parts"
-    assert make_scenes("--count", 2, "--out", at_once, "--workers", 2, *SMALL).returncode == 0
-    assert make_scenes("--count", 1, "--start", 1, "--out", in_parts, "--workers", 1, *SMALL).returncode == 0
-    written = (in_parts / "train_000001" / "image.exr").stat().st_mtime_ns
-    assert make_scenes("--count", 2, "--out", in_parts, "--workers", 1, *SMALL).returncode == 0
-    assert (in_parts / "train_000001" / "image.exr").stat().st_mtime_ns == written
+    assert make_scenes("--count", 3, "--out", at_once, "--workers", 2, *scan).returncode == 0
+    assert make_scenes("--count", 1, "--start", 2, "--out", in_parts, "--workers", 1, *scan).returncode == 0
+    written = (in_parts / "egg_000002" / "image.exr").stat().st_mtime_ns
+    assert make_scenes("--count", 3, "--out", in_parts, "--workers", 1, *scan).returncode == 0
+    assert (in_parts / "egg_000002" / "image.exr").stat().st_mtime_ns == written
     first, second = contents(at_once), contents(in_parts)
     assert first.keys() == second.keys()
     assert [name for name in first if first[name] != second[name]] == []
-    assert len({bytes(v) for k, v in first.items() if k.endswith("gt/mesh.ply")}) == 2
+    assert len({bytes(v) for k, v in first.items() if k.endswith("gt/mesh.ply")}) == 3, "each in its own pose"
+    assert json.loads(first["datasheet.json"])["scenes"] == 3
+
+
+@pytest.mark.slow
+def test_another_process_draws_the_same_heads(tmp_path):
+    from data_synth.draw_scene import draw_scene
+    from data_synth.scene_settings import SceneSettings
+    from data_synth.write_scene import write_scene
+
+    settings = ("--count", 1, "--start", 1, "--out", tmp_path, "--workers", 1, *SMALL)
+    assert make_scenes(*settings).returncode == 0
+    # After another head, with the caches warm.
+    wanted = SceneSettings(views=2, size=32, samples=8)
+    folders = [tmp_path / f"here_{index}" for index in (0, 1)]
+    for index, folder in enumerate(folders):
+        write_scene(draw_scene(wanted, index), folder)
+    there, here = contents(tmp_path / "train_000001"), contents(folders[1])
+    assert there.keys() == here.keys()
+    assert [name for name in here if here[name] != there[name]] == []
+    assert contents(folders[0])["gt/mesh.ply"] != here["gt/mesh.ply"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--scan-texture", "x.png"), "--from-scan MESH with --scan-texture"),
+        (("--from-scan", "nowhere.ply"), "no such file"),
+        (("--from-scan", "EGG", "--scan-name", "a/b"), "a name of letters"),
+        (("--from-scan", "EGG", "--metres-per-unit", "-1"), "a positive --metres-per-unit"),
+        (("--from-scan", "EGG", "--metres-per-unit", "0.001"), "would fit a mean head"),
+    ],
+)
+def test_scans_that_cannot_be_used_end_with_3_and_one_line(egg, tmp_path, arguments, words):
+    line = [str(egg) if a == "EGG" else a for a in arguments]
+    result = make_scenes("--count", 1, "--out", tmp_path / "out", *line)
+    assert result.returncode == 3
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert words in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
