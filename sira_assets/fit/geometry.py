@@ -18,7 +18,7 @@ from sira_assets.fields.sa_sm import ShapeAppearanceModel
 from sira_assets.fit.geometry_losses import GeometryFitConfig, GeometryLosses
 from sira_assets.fit.kept_rays import KeptRays
 from sira_assets.fit.loop import Checkpoint, Stage, run_stages
-from sira_assets.fit.pixels import face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
+from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
 from sira_assets.scene.portrait import Portrait
 
 # torch.multinomial takes at most 2^24 weights; a photo larger than this is drawn from at random first.
@@ -73,7 +73,7 @@ def fit_geometry(
     def stage(name: str, steps: int, groups, *, geometry: bool = True, begin=lambda: None, enter=lambda: None) -> Stage:
         def before_step(step: int, generator: torch.Generator) -> None:
             if step % c.retrace == 0 and (step == 0 or geometry):
-                fit.retrace()
+                fit.retrace(generator)
 
         return Stage(name, steps, groups, lambda _, g: fit.losses(g, geometry=geometry), begin, enter, before_step)
 
@@ -117,13 +117,17 @@ def fit_geometry(
 
 def _pools(portrait: Portrait, c: GeometryFitConfig, device: str | torch.device) -> tuple[KeptRays, KeptRays]:
     """Rays through the mask, more of them on the face, and rays about its edge."""
-    generator = torch.Generator(device).manual_seed(c.seed)
     pool = mask_rays(portrait, device=device)
     require_pixels(int(pool.usable.sum()), len(pool))
-    if len(pool) > MOST_PIXELS:
-        pool = pool.select(torch.randperm(len(pool), generator=generator, device=device)[:MOST_PIXELS])
-    chosen = torch.multinomial(face_weight(pool), min(c.pool, len(pool)), generator=generator)
-    inside = KeptRays(pool.select(chosen), torch.ones(len(chosen), device=device))
     band = pixel_rays(portrait, *silhouette_band(portrait), device=device)
-    chosen = torch.randperm(len(band), generator=generator, device=device)[: c.band_pool]
-    return inside, KeptRays(band.select(chosen), torch.ones(len(chosen), device=device))
+    generator = torch.Generator(device).manual_seed(c.seed)
+    pool, band = (_at_most(rays, generator) for rays in (pool, band))
+    even = torch.ones(len(band), device=device)
+    return KeptRays(pool, face_weight(pool), c.pool), KeptRays(band, even, c.band_pool)
+
+
+def _at_most(rays: PixelRays, generator: torch.Generator) -> PixelRays:
+    if len(rays) <= MOST_PIXELS:
+        return rays
+    index = torch.randperm(len(rays), generator=generator, device=rays.origins.device)
+    return rays.select(index[:MOST_PIXELS])

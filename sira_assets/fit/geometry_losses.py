@@ -93,7 +93,7 @@ class GeometryLosses:
             "before_z": self.before_z,
         }
         for name, rays in (("inside", self.inside), ("edge", self.edge)):
-            own |= {f"{name}_t": rays.t, f"{name}_hit": rays.hit}
+            own |= {f"{name}_index": rays.index, f"{name}_t": rays.t, f"{name}_hit": rays.hit}
         for name, model in (("model", self.model), ("before", self.before)):
             own |= {f"{name}.{key}": value for key, value in model.state_dict().items()}
         return own
@@ -115,8 +115,10 @@ class GeometryLosses:
         self.before_z.copy_(self.codes()[0])
 
     @torch.no_grad()
-    def retrace(self) -> None:
-        """Trace all kept rays."""
+    def retrace(self, generator: torch.Generator) -> None:
+        """Follow other rays, and trace them."""
+        for kept in (self.inside, self.edge):
+            kept.choose(generator)
         z_sdf = self.codes()[0]
         self.inside.retrace(self.model, z_sdf, self.pose)
         self.edge.retrace(self.model, z_sdf, self.pose)
@@ -126,8 +128,9 @@ class GeometryLosses:
         """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
         c = self.config
         z_sdf, z_r = self.codes()
-        chosen = self.inside.draw(c.rays, generator, (self.inside.hit & self.inside.rays.usable).float())
-        rays = self.inside.rays.select(chosen)
+        usable = self.inside.hit & self.inside.every.usable[self.inside.index]
+        chosen = self.inside.draw(c.rays, generator, usable.float())
+        rays = self.inside.drawn(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)
         x0 = origins + self.inside.t[chosen, None] * directions
         if not geometry:
@@ -169,10 +172,10 @@ class GeometryLosses:
         """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
         c = self.config
         # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside.
-        hit, inside = self.edge.hit, self.edge.rays.in_mask
+        hit, inside = self.edge.hit, self.edge.every.in_mask[self.edge.index]
         chance = torch.where(hit & inside, 0.0, torch.where(hit == inside, 0.2, 1.0))
         chosen = self.edge.draw(c.band_rays, generator, chance)
-        rays = self.edge.rays.select(chosen)
+        rays = self.edge.drawn(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)
         x = origins + self.edge.t[chosen, None] * directions
         f, _, _ = self.model(x, z_sdf)
@@ -194,7 +197,8 @@ class GeometryLosses:
         low, high = (x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
         random = torch.rand(256, 3, generator=generator, device=x.device)
         edge = self.edge.draw(256, generator, torch.ones_like(self.edge.t))
-        band = self.edge.rays.origins[edge] + self.edge.t[edge, None] * self.edge.rays.directions[edge]
+        rays = self.edge.drawn(edge)
+        band = rays.origins + self.edge.t[edge, None] * rays.directions
         points = torch.cat([x[:384], band, low + (high - low) * random])
         away = SLOPE_REACH * torch.randn(points.shape, generator=generator, device=x.device)
         both = torch.cat([points, points + away])

@@ -15,34 +15,56 @@ from sira_assets.render.tracing import TraceConfig, sphere_trace
 
 
 class KeptRays:
-    """A pool of rays with the hit that each had last; `t` and `hit` change in place."""
+    """Some of a photo's rays, with the hit that each had last; `index`, `t` and `hit` change in place.
 
-    def __init__(self, rays: PixelRays, weight: Tensor):
-        self.rays, self.weight = rays, weight
-        self.t = torch.zeros_like(rays.origins[:, 0])
-        self.hit = torch.zeros_like(rays.in_mask)
+    Parameters
+    ----------
+    every : rays to choose from
+    weight : (len(every),) how often each is chosen
+    count : rays followed at a time
+    """
+
+    def __init__(self, every: PixelRays, weight: Tensor, count: int):
+        self.every, self.weight = every, weight
+        self.index = torch.arange(min(count, len(every)), device=weight.device)
+        self.t = torch.zeros_like(every.origins[: len(self.index), 0])
+        self.hit = torch.zeros_like(every.in_mask[: len(self.index)])
+
+    @property
+    def rays(self) -> PixelRays:
+        """Those followed now."""
+        return self.every.select(self.index)
+
+    def choose(self, generator: torch.Generator) -> None:
+        """Follow other rays, so that over a fit every pixel has its say."""
+        self.index.copy_(torch.multinomial(self.weight, len(self.index), generator=generator))
 
     def retrace(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, config=TraceConfig()) -> None:
-        """Trace all rays."""
+        """Trace the rays followed."""
+        rays = self.rays
         low, high = (self.t.new_tensor(b / UNIT_M) for b in BOUNDS_M)
         with torch.no_grad():
-            origins, directions = corrected(pose, self.rays.origins, self.rays.directions)
+            origins, directions = corrected(pose, rays.origins, rays.directions)
             hits = sphere_trace(lambda x: model(x, z_sdf)[0], origins, directions, low, high, config)
         self.t.copy_(hits.t)
         self.hit.copy_(hits.hit)
 
     def deepest(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, reach=0.6, samples=12) -> None:
         """Move each hit to the lowest f within `reach` behind it: how far a wrong hit is inside."""
+        rays = self.rays
         with torch.no_grad():
-            origins, directions = corrected(pose, self.rays.origins, self.rays.directions)
+            origins, directions = corrected(pose, rays.origins, rays.directions)
             ts = self.t[:, None] + torch.linspace(0.0, reach, samples, device=self.t.device)
             points = origins[:, None] + ts[..., None] * directions[:, None]
             f = model(points.reshape(-1, 3), z_sdf)[0].view(ts.shape)
             self.t.copy_(torch.where(self.hit, ts.gather(1, f.argmin(1, keepdim=True))[:, 0], self.t))
 
     def draw(self, count: int, generator: torch.Generator, where: Tensor) -> Tensor:
-        """Indices of at most `count` rays, drawn by weight times `where`."""
-        weight = self.weight * where
-        if not bool((weight > 0).any()):
-            return torch.zeros(0, dtype=torch.int64, device=weight.device)
-        return torch.multinomial(weight, min(count, int((weight > 0).sum())), generator=generator)
+        """At most `count` of the rays followed, drawn by `where`; their positions among them."""
+        if not bool((where > 0).any()):
+            return torch.zeros(0, dtype=torch.int64, device=where.device)
+        return torch.multinomial(where, min(count, int((where > 0).sum())), generator=generator)
+
+    def drawn(self, chosen: Tensor) -> PixelRays:
+        """The rays at these positions."""
+        return self.every.select(self.index[chosen])
