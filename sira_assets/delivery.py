@@ -161,7 +161,7 @@ def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray
         curves=tuple(curves),
         metrics=metrics,
         decisions=_decisions(journey),
-        warnings=portrait.warnings,
+        warnings=portrait.warnings + journey.doubts,
         settings=_flat(settings),
         seconds=journey.seconds,
         peak_memory_bytes=peak_memory_bytes(),

@@ -15,7 +15,9 @@ from sira_assets.errors import InputError
 from sira_assets.fields.prior import Prior, load_prior
 from sira_assets.fit.appearance import AppearanceFit, fit_appearance, unlit_head
 from sira_assets.fit.appearance_losses import AppearanceFitConfig
+from sira_assets.fit.doubts import geometry_doubts, portrait_doubts
 from sira_assets.fit.geometry import GeometryFit, GeometryFitConfig, fit_geometry
+from sira_assets.fit.loop import Checkpoint
 from sira_assets.fit.stored import fit_key, keep_appearance, keep_geometry, kept_appearance, kept_geometry
 from sira_assets.mesh.clean import CleanConfig, clean_mesh
 from sira_assets.mesh.extract import ExtractConfig, extract_mesh
@@ -54,6 +56,7 @@ class Journey:
     surface: TriangleMesh  # canonical metres, full resolution
     avatar: Avatar  # the scene's world
     view: ViewRender
+    doubts: tuple[str, ...]  # what about the portrait or its fit is not as it should be, one line each
     seconds: tuple[tuple[str, float], ...]
 
 
@@ -137,9 +140,12 @@ def run(
     if geometry is not None:
         seconds.append(("fit geometry", geometry.seconds))
     else:
-        geometry = stage("fit geometry", fit_geometry, portrait, prior, settings.geometry, device=device)
+        partial = Checkpoint(work / "geometry-partial.safetensors", key) if work else None
+        given = (portrait, prior, settings.geometry)
+        geometry = stage("fit geometry", fit_geometry, *given, device=device, checkpoint=partial)
         if work:
             keep_geometry(geometry, work, key)
+            partial.path.unlink(missing_ok=True)
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
     surface = stage("extract", extract_mesh, unlit_head(geometry, prior), settings.extract, device=device)
     surface = stage("clean", clean_mesh, surface, settings.clean)
@@ -171,4 +177,5 @@ def run(
     )
     camera = portrait.camera
     view = stage("render", render_view, head, surface, camera, pose, light, shadows=shadows, device=device)
-    return Journey(posed, geometry, appearance, surface, avatar, view, tuple(seconds))
+    doubts = portrait_doubts(portrait) + geometry_doubts(portrait, geometry, prior, view.hit)
+    return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds))
