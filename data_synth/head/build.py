@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.head.cover import composed_field, is_bare
+from data_synth.head.cover import composed_field
 from data_synth.head.grid import extract
 from data_synth.head.identity import Warp, make_warp, warp_points
 from data_synth.head.material import evaluate_material, region_of
@@ -78,10 +78,7 @@ def build_head(params: HeadParams) -> SynthHead:
     The first call in a process computes the template's grid (seconds); later ones take one to two seconds.
     """
     base = bald_surface()
-    if is_bare(params):
-        x_template, faces = base.vertices_m, base.faces
-    else:
-        x_template, faces = extract(*composed_field(params))
+    x_template, faces = extract(*composed_field(params))
     warp = make_warp(params, base.landmarks_m)
     landmarks = warp_points(warp, base.landmarks_m)
     nine = np.array([landmarks[i] for i in IBUG68_OF_CANONICAL.values()])

@@ -1,7 +1,7 @@
-"""What covers the head, united with it: hair and cloth on the template's grid.
+"""What covers the head, united with it: hair of the face, garment, hair and headwear on the template's grid.
 
-Notation: ``f`` the field in metres, negative inside. Cloth thickens the body where it lies; hair is joined to it by a
-smooth minimum, so that the result is one closed surface as a scan would see it.
+Notation: ``f`` the field in metres, negative inside. Brows, beard and garment thicken the body where they lie; hair and
+headwear are joined to it by a smooth minimum, so that the result is one closed surface as a scan would see it.
 """
 
 from __future__ import annotations
@@ -10,57 +10,112 @@ from functools import lru_cache
 
 import numpy as np
 
-from data_synth.head.grid import HeadGrid, template_grid
-from data_synth.head.hair import STYLES, hair_field_mm, interpolate_scalp
-from data_synth.head.material import cloth_cover
+from data_synth.head.beard import face_hair_relief_mm
+from data_synth.head.cloth import HIGHEST_MM, cloth_relief_mm
+from data_synth.head.grid import HeadGrid, refine_axis_values, template_grid
+from data_synth.head.hair import hair_field_mm
+from data_synth.head.hair_styles import STYLES
+from data_synth.head.headwear import VISOR_FRONT_MM, headwear_field_mm, under_headwear
+from data_synth.head.noise import smooth_min
 from data_synth.head.params import HeadParams
+from data_synth.head.scalp import interpolate_scalp
 
-CLOTH_MM = 2.2
-HAIR_BLEND_MM = 1.0
-HAIR_BOX_MM = ((-125.0, 125.0), (-222.0, 170.0), (-215.0, 42.0))
-
-
-def is_bare(params: HeadParams) -> bool:
-    """Whether nothing covers the head: its surface is the bald template's."""
-    return STYLES[params.hair_style].top == 0.0 and params.pigment.collar > 1.5
+BLEND_MM = 1.0
+BOX_MM = ((-140.0, 140.0), (-230.0, 180.0), (-230.0, 42.0))
+FACE_BOX_MM = ((-74.0, 74.0), (-150.0, 36.0), (-80.0, 60.0))
+THICKEST_CLOTH_MM = 26.0
+COARSE, BAND_MM = 4, 6.0  # a lattice of some 10 mm errs by less than 6 mm on what hair and hats are made of
 
 
-@lru_cache(maxsize=1)
-def _scalp_in_box() -> np.ndarray:
-    """The scalp's distance (mm, float32) at the template grid's nodes in the hair's box."""
-    grid = template_grid()
-    axes = [a * 1e3 for a in (grid.x, grid.y, grid.z)]
-    own = [a[slice(*np.searchsorted(a, b))] for a, b in zip(axes, HAIR_BOX_MM, strict=True)]
+@lru_cache(maxsize=2)
+def _scalp_in_box(tall: bool) -> np.ndarray:
+    """The scalp's distance (mm, float32) at the grid's nodes in the cover's box."""
+    axes = _axes_mm(_grid(tall))
+    own = [a[s] for a, s in zip(axes, _box(axes, _box_mm(tall)), strict=True)]
     nodes = np.stack(np.meshgrid(*own, indexing="ij"), -1)
     return interpolate_scalp(nodes.reshape(-1, 3)).astype(np.float32).reshape(nodes.shape[:3])
 
 
-def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
-    """The template's grid and, on it, the field (m) of head, hair and cloth together."""
+@lru_cache(maxsize=2)
+def _grid(visor: bool) -> HeadGrid:
+    """The template's grid; for a cap it reaches farther forward."""
     grid = template_grid()
+    if not visor:
+        return grid
+    more = np.arange(grid.z[-1] + 2.4e-3, VISOR_FRONT_MM * 1e-3 + 6e-3, 2.4e-3)
+    beyond = grid.field[:, :, -1:] + (more - grid.z[-1]).astype(np.float32)
+    return HeadGrid(grid.x, grid.y, np.r_[grid.z, more], np.concatenate([grid.field, beyond], axis=2))
+
+
+def _axes_mm(grid: HeadGrid) -> list[np.ndarray]:
+    return [a * 1e3 for a in (grid.x, grid.y, grid.z)]
+
+
+def _box_mm(visor: bool) -> tuple[tuple[float, float], ...]:
+    return (*BOX_MM[:2], (BOX_MM[2][0], VISOR_FRONT_MM + 8.0)) if visor else BOX_MM
+
+
+def _box(axes: list[np.ndarray], box_mm: tuple[tuple[float, float], ...]) -> tuple[slice, ...]:
+    return tuple(slice(*np.searchsorted(a, b)) for a, b in zip(axes, box_mm, strict=True))
+
+
+def _thicken(grid: HeadGrid, field: np.ndarray, box_mm, reach_mm: float, relief) -> None:
+    """Subtract ``relief`` (mm, a function of points in mm) from the field within ``reach_mm`` of the surface."""
+    axes = _axes_mm(grid)
+    box = _box(axes, box_mm)
+    part = field[box]
+    i, j, k = np.nonzero((part > -4e-3) & (part < 1e-3 * reach_mm))
+    x = np.stack([a[s][n] for a, s, n in zip(axes, box, (i, j, k), strict=True)], 1)
+    # the field is a distance only where its slope is 1; in hollows it is flatter
+    slope = np.zeros(len(x))
+    for axis, (a, s, n) in enumerate(zip(axes, box, (i, j, k), strict=True)):
+        at = [i, j, k]
+        at[axis] = np.minimum(n + 1, part.shape[axis] - 1)
+        up = part[tuple(at)]
+        high = a[s][at[axis]]
+        at[axis] = np.maximum(n - 1, 0)
+        slope += (1e3 * (up - part[tuple(at)]) / (high - a[s][at[axis]])) ** 2
+    part[i, j, k] -= (1e-3 * relief(x) * np.clip(np.sqrt(slope), 0.2, 1.1)).astype(np.float32)
+
+
+def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
+    """The template's grid and, on it, the field (m) of head, hair, garment and headwear together."""
+    visor = params.dress.headwear == "cap"
+    grid = _grid(visor)
     field = grid.field.copy()
-    axes = [a * 1e3 for a in (grid.x, grid.y, grid.z)]
-    if params.pigment.collar <= 1.5:
-        low = int(np.searchsorted(axes[1], -120.0))
-        near = np.abs(field[:, :low]) < 8e-3
-        i, j, k = np.nonzero(near)
-        x = np.stack([axes[0][i], axes[1][j], axes[2][k]], 1)
+    axes = _axes_mm(grid)
+    beard = params.groom.beard != "none"
+    reach = 2.0 * params.groom.beard_mm + 6.0 if beard else 5.0
+    _thicken(grid, field, FACE_BOX_MM, reach, lambda x: face_hair_relief_mm(x, params))
+    if params.dress.garment != "none":
         floor = axes[1][0] + 6.0
-        field[i, j, k] -= (1e-3 * CLOTH_MM * cloth_cover(x, params) * (x[:, 1] > floor)).astype(np.float32)
+        box = ((axes[0][0], axes[0][-1] + 1.0), (floor, HIGHEST_MM), (axes[2][0], 62.0))
+        thick = 8.0 if params.dress.garment in ("tshirt", "vneck", "tank") else THICKEST_CLOTH_MM
+        _thicken(grid, field, box, thick, lambda x: cloth_relief_mm(x, params))
     style = STYLES[params.hair_style]
-    if style.top > 0:
-        box = tuple(slice(*np.searchsorted(a, b)) for a, b in zip(axes, HAIR_BOX_MM, strict=True))
-        part = field[box]
-        # inside the head nothing changes
-        scalp = _scalp_in_box()
-        candidate = (part > -4e-3) & (scalp < (30.0 if not style.volumes else 75.0) * params.hair_length + 10.0)
-        if style.curl:
-            candidate = (part > -4e-3) & (scalp < 60.0)
-        i, j, k = np.nonzero(candidate)
-        x = np.stack([axes[0][box[0]][i], axes[1][box[1]][j], axes[2][box[2]][k]], 1)
-        hair = 1e-3 * hair_field_mm(x, params, scalp[i, j, k])
-        base = part[i, j, k].astype(np.float64)
-        blend = 1e-3 * HAIR_BLEND_MM
-        gap = np.clip(blend - np.abs(hair - base), 0.0, None)
-        part[i, j, k] = np.minimum(hair, base) - gap * gap / (4 * blend)
+    if style.top == 0.0 and params.dress.headwear == "none":
+        return grid, field
+    box = _box(axes, _box_mm(visor))
+    part = field[box]
+    own = tuple(a[b] for a, b in zip(axes, box, strict=True))
+    # first every fourth node each way, then every node near the surface that this shows
+    coarse_axes = tuple(np.r_[a[:-1:COARSE], a[-1]] for a in own)
+    nodes = np.stack(np.meshgrid(*coarse_axes, indexing="ij"), -1)
+    rough = _hair_and_headwear_mm(nodes.reshape(-1, 3), params, interpolate_scalp(nodes.reshape(-1, 3)))
+    rough = np.clip(rough, -60.0, 60.0).astype(np.float32).reshape(nodes.shape[:3])
+    cover = refine_axis_values(rough, coarse_axes, own)
+    # inside the head nothing changes
+    i, j, k = np.nonzero((np.abs(cover) < BAND_MM) & (part > -5e-3))
+    x = np.stack([a[n] for a, n in zip(own, (i, j, k), strict=True)], 1)
+    cover[i, j, k] = _hair_and_headwear_mm(x, params, _scalp_in_box(visor)[i, j, k].astype(np.float64))
+    outside = part > -5e-3
+    part[outside] = 1e-3 * smooth_min(cover[outside], 1e3 * part[outside], BLEND_MM)
     return grid, field
+
+
+def _hair_and_headwear_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray) -> np.ndarray:
+    hair = hair_field_mm(x_mm, params, d_mm)
+    if params.dress.headwear == "none":
+        return hair
+    g = headwear_field_mm(x_mm, params, d_mm)
+    return np.minimum(under_headwear(hair, g, x_mm, params), g)

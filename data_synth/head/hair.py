@@ -1,263 +1,193 @@
-"""Hair as geometry: a layer over the scalp and hanging volumes, united with the head's surface.
+"""Hair as geometry: a layer over the scalp, a fringe, hanging hair and knots, all one field.
 
-Notation (millimetres, template frame): ``D`` distance from the earless scalp, ``T`` thickness of the hair there,
-``h = D - T`` the hair's field (negative inside), ``theta`` azimuth about the vertical axis through the skull from the
-face (0) to the nape (180 degrees). Relief follows the strands: waves of integer frequency around the crown that run
-down along it, so that they close on themselves.
+Notation (millimetres, template frame): ``D`` distance from the earless scalp, ``T`` thickness of the layer there,
+``h = D - T`` its field (negative inside; ``T = -3`` where nothing grows). Relief follows the strands of
+`data_synth.head.hair_flow`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
-
 import numpy as np
 
-from data_synth.head.grid import evaluate_template, graded_axis
+from data_synth.head.hair_flow import clumps, strand_coordinates
+from data_synth.head.hair_styles import STYLES, Curtain, HairStyle, hairline_height
+from data_synth.head.noise import plane_noise, smooth_max, smooth_min, smoothstep
 from data_synth.head.params import HeadParams
-from data_synth.head.template import Primitives, Template, load_template
+from data_synth.head.scalp import interpolate_scalp
 
-EAR_NAMES = (
-    "ear",
-    "helix",
-    "tragus",
-    "concha",
-    "cymba",
-    "scapha",
-    "antihelix",
-    "crus",
-    "antitragus",
-    "intertragic",
-)
-
-# azimuth from the face (degrees) and height of an adult's hairline over it (mm): forehead, temple, sideburn, ear, nape
-HAIRLINE_AZIMUTH = np.array([0, 18, 32, 42, 50, 58, 66, 73, 80, 86, 100, 112, 130, 150, 180.0])
-HAIRLINE_HEIGHT = np.array([74, 76, 70, 52, 34, 18, 0, -16, -14, 4, 4, -22, -58, -74, -78.0])
+NONE_MM = -3.0
+RELIEF_REACH_MM = 8.0
+LOWEST_LAYER_MM = -110.0
 
 
-@dataclass(frozen=True)
-class HairStyle:
-    """Shape of a style, millimetres.
-
-    ``top``, ``side``, ``back``: thickness; ``relief`` and ``waves``: height and number of clumps around the crown;
-    ``curl``: height of isotropic curls; ``recede``: how far the forehead's hairline climbs; ``part``: depth of a side
-    parting; ``volumes``: ellipsoids (x, y, z, rx, ry, rz), mirrored; ``front``: how far forward hanging hair may come;
-    ``edge``: softness of the hairline.
-    """
-
-    top: float = 0.0
-    side: float = 0.0
-    back: float = 0.0
-    relief: float = 0.0
-    waves: float = 40.0
-    curl: float = 0.0
-    recede: float = 0.0
-    thin_crown: float = 0.0
-    part: float = 0.0
-    volumes: tuple[tuple[float, ...], ...] = ()
-    front: float = -44.0
-    edge: float = 9.0
-
-
-STYLES = {
-    "bald": HairStyle(),
-    "buzz": HairStyle(top=2.2, side=1.6, back=1.8, relief=0.25, waves=90, edge=5),
-    "short": HairStyle(top=13, side=5, back=7, relief=1.6, waves=46),
-    "side_part": HairStyle(top=17, side=6, back=8, relief=1.5, waves=38, part=7),
-    "receding": HairStyle(top=8, side=6, back=7, relief=1.0, waves=50, recede=24, thin_crown=0.8),
-    "curly": HairStyle(top=30, side=20, back=24, relief=0.5, waves=20, curl=3.2, edge=12),
-    "bob": HairStyle(
-        top=15,
-        side=15,
-        back=17,
-        relief=1.6,
-        waves=48,
-        part=5,
-        volumes=((64, -36, -78, 32, 70, 46), (0, -34, -112, 78, 70, 60)),
-    ),
-    "long": HairStyle(
-        top=13,
-        side=12,
-        back=15,
-        relief=1.8,
-        waves=52,
-        part=4,
-        volumes=((64, -62, -76, 31, 116, 40), (0, -80, -124, 80, 122, 50)),
-    ),
-    "bun": HairStyle(top=5, side=4, back=5, relief=0.7, waves=64, volumes=((0, 72, -178, 31, 29, 28),), front=300.0),
-}
-
-
-def _without_ears(t: Template) -> Template:
-    def drop(p: Primitives) -> Primitives:
-        keep = [i for i, n in enumerate(p.name) if not n.startswith(EAR_NAMES)]
-        return Primitives(
-            tuple(p.name[i] for i in keep),
-            p.paired[keep],
-            p.centre_mm[keep],
-            p.log_size[keep],
-            p.rotation[keep],
-            p.weight[keep],
-        )
-
-    return Template(drop(t.masses), drop(t.strokes), t.eyeball, t.lids, t.floor_mm)
-
-
-@dataclass(frozen=True)
-class ScalpDistance:
-    """Distance from the earless head (mm) on a coarse regular grid: axes in mm and values ``d[i, j, k]``."""
-
-    x: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-    d: np.ndarray
-
-
-@lru_cache(maxsize=1)
-def scalp_distance(step_mm: float = 5.0) -> ScalpDistance:
-    """Computed once per process; linear interpolation of it errs by about step^2 / (8 * 70 mm) on the skull."""
-    import open3d as o3d
-    from skimage.measure import marching_cubes
-
-    half = graded_axis((0.0, 200.0), (step_mm,))
-    x = np.concatenate([-half[:0:-1], half])
-    y, z = graded_axis((-235.0, 165.0), (step_mm,)), graded_axis((-235.0, 70.0), (step_mm,))
-    nodes = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1)
-    right = len(half) - 1
-    bare = _without_ears(load_template())
-    f_half = evaluate_template(nodes[right:].reshape(-1, 3) * 1e-3, bare).reshape(nodes[right:].shape[:3]) * 1e3
-    f = np.concatenate([f_half[:0:-1], f_half])
-    v, tri, _, _ = marching_cubes(np.where(np.abs(f) < 1e-4, 1e-4, f), 0.0)
-    v = v * step_mm + [x[0], y[0], z[0]]
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(v.astype(np.float32)), o3d.core.Tensor(tri.astype(np.uint32)))
-    d_half = scene.compute_distance(o3d.core.Tensor(nodes[right:].astype(np.float32))).numpy()
-    d = np.concatenate([d_half[:0:-1], d_half])
-    return ScalpDistance(x, y, z, (np.sign(f) * d).astype(np.float32))
-
-
-def interpolate_scalp(x_mm: np.ndarray) -> np.ndarray:
-    """``D`` at points (N, 3) in mm."""
-    from scipy.ndimage import map_coordinates
-
-    s = scalp_distance()
-    step = s.x[1] - s.x[0]
-    index = [(x_mm[:, 0] - s.x[0]) / step, (x_mm[:, 1] - s.y[0]) / step, (x_mm[:, 2] - s.z[0]) / step]
-    return map_coordinates(s.d, index, order=1, mode="nearest").astype(np.float64)
-
-
-def smoothstep(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below ``low``, 1 above ``high``, a cubic between."""
-    t = np.clip((x - low) / (high - low), 0.0, 1.0)
-    return t * t * (3 - 2 * t)
-
-
-def strand_waves(x_mm: np.ndarray, waves: float, seed: int, count: int = 14, twist: float = 0.6) -> np.ndarray:
-    """Waves of unit RMS, constant along strands that run down from the crown; (N,)."""
-    rng = np.random.default_rng([seed, 17])
-    x, y, z = x_mm[:, 0], x_mm[:, 1], x_mm[:, 2] + 96.0
-    phi = np.arctan2(x, z)
-    level = y / 75.0
-    out = np.zeros(len(x_mm))
-    for _ in range(count):
-        k = int(rng.integers(max(int(waves * 0.35), 3), int(waves * 1.4)))
-        slope, phase = rng.normal() * 2.2, rng.uniform(0, 2 * np.pi)
-        out += np.cos(k * (phi + twist * 0.15 * np.sin(2.0 * level + phase)) + slope * level + phase)
-    # strands meet at the crown, where waves would be infinitely fine
-    return out * np.sqrt(2.0 / count) * smoothstep(np.hypot(x, z), 12.0, 40.0)
-
-
-def curls(x_mm: np.ndarray, seed: int, count: int = 18, wavelength_mm: float = 17.0) -> np.ndarray:
-    """Isotropic noise of unit RMS made of plane waves; (N,)."""
-    rng = np.random.default_rng([seed, 29])
-    direction = rng.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    wave = 2 * np.pi / (wavelength_mm * rng.uniform(0.6, 1.8, (count, 1)))
-    phase = rng.uniform(0, 2 * np.pi, count)
-    return np.cos(x_mm @ (direction * wave).T + phase).sum(1) * np.sqrt(2.0 / count)
-
-
-def hairline_height(x_mm: np.ndarray, recede_mm: float = 0.0) -> np.ndarray:
-    """How far a point lies above the hairline (mm, measured along y); positive where hair grows. (N, 3) -> (N,)."""
-    from scipy.interpolate import PchipInterpolator
-
-    theta = np.degrees(np.arctan2(np.abs(x_mm[:, 0]), x_mm[:, 2] + 80.0))
-    bald_front = np.exp(-0.5 * ((HAIRLINE_AZIMUTH - 30.0) / 14.0) ** 2) * 1.3 + (HAIRLINE_AZIMUTH < 10) * 0.7
-    line = PchipInterpolator(HAIRLINE_AZIMUTH, HAIRLINE_HEIGHT + recede_mm * bald_front)(theta)
-    # near the crown the azimuth has no meaning: hair grows there whatever the front does
-    return np.maximum(x_mm[:, 1] - line, 4.0 * (x_mm[:, 1] - 93.0))
-
-
-def _layer_thickness(x_mm: np.ndarray, style: HairStyle, seed: int) -> np.ndarray:
-    """Thickness of the layer over the scalp (mm) where hair is fully grown."""
+def thickness_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
+    """Thickness ``T`` of the layer over the scalp at points (N, 3), `NONE_MM` where no hair grows; (N,)."""
+    style, groom, size = STYLES[params.hair_style], params.groom, params.hair_length
     y, z = x_mm[:, 1], x_mm[:, 2]
-    upper = smoothstep(y, 20.0, 85.0)
-    rear = smoothstep(-z, 90.0, 140.0)
+    upper, rear = smoothstep(y, 22.0, 84.0), smoothstep(-z, 90.0, 140.0)
     thick = (style.side * (1 - rear) + style.back * rear) * (1 - upper) + style.top * upper
+    thick = thick + style.quiff * upper * smoothstep(z, -75.0, -25.0)
     if style.thin_crown:
-        crown = np.exp(-0.5 * (((x_mm - [0, 95, -95]) / [36, 40, 44]) ** 2).sum(-1))
-        thick = thick * (1 - style.thin_crown * crown)
+        thick = thick * (1 - style.thin_crown * np.exp(-0.5 * (((x_mm - [0, 95, -95]) / [36, 40, 44]) ** 2).sum(-1)))
     if style.part:
-        side = 26.0 if seed % 2 else -26.0
-        line = np.exp(-0.5 * ((x_mm[:, 0] - side) / 4.0) ** 2) * smoothstep(z, -120.0, -80.0) * upper
+        line = np.exp(-0.5 * ((x_mm[:, 0] - 30.0 * groom.part) / 4.0) ** 2) * smoothstep(z, -120.0, -80.0) * upper
         thick = thick - np.minimum(style.part, 0.8 * thick) * line
-        thick = thick + 0.25 * style.top * upper * np.exp(-0.5 * ((x_mm[:, 0] + 0.6 * side) / 30.0) ** 2)
-    return thick
+        away = np.exp(-0.5 * ((x_mm[:, 0] + 20.0 * groom.part) / 30.0) ** 2)
+        thick = thick + 0.2 * style.top * upper * away * smoothstep(z, -110.0, -40.0)
+    # one side is never quite the other
+    thick = size * thick * (1.0 + 0.07 * plane_noise(x_mm, params.seed + 11, 8, 85.0))
+    above = hairline_height(x_mm, groom, style.recede)
+    above = above + 1.7 * plane_noise(x_mm, params.seed + 5, 8, 13.0)
+    if style.fringe is not None:
+        # the fringe comes from farther up: nothing rises at the hairline
+        above = above + 34.0 * smoothstep(z, -75.0, -40.0)
+    # in front the layer rises from the forehead; elsewhere it ends in a cut
+    front = smoothstep(z, -75.0, -30.0)
+    grown = smoothstep(above / (style.edge + (0.4 + 0.8 * front) * np.maximum(thick, 0.0)), 0.0, 1.0)
+    layer = (thick - NONE_MM) * grown + NONE_MM
+    return np.maximum(layer, _fringe_mm(x_mm, params)) if style.fringe is not None else layer
 
 
-def _hanging_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
-    """Union of the hanging volumes (mm), cut off in front so that the face stays free."""
+def _fringe_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
+    """Thickness of the locks over the forehead."""
+    cut = STYLES[params.hair_style].fringe
+    x, y = x_mm[:, 0], x_mm[:, 1]
+    theta = np.degrees(np.arctan2(np.abs(x), x_mm[:, 2] + 80.0))
+    drift = plane_noise(x_mm * [1.0, 0.35, 0.35], params.seed + 21, 8, 45.0)
+    across = x / cut.locks + 0.35 * drift + 0.012 * (y - 40.0) * np.sign(params.groom.part or 1.0)
+    notch = cut.notch * np.abs(np.cos(np.pi * across)) ** 1.5 * (1.0 + 0.4 * drift)
+    tip = cut.tip_mm + cut.arch * (theta / 45.0) ** 2 + cut.slope * x * params.groom.part + notch
+    above = y - np.maximum(tip, 21.0)
+    thick = params.hair_length**0.5 * (2.2 + (cut.thick - 2.2) * smoothstep(above, 0.0, 34.0))
+    grown = smoothstep(above, -1.0, 5.0) * (1 - smoothstep(theta, 44.0, 58.0)) * smoothstep(-y, -112.0, -92.0)
+    return (thick - NONE_MM) * grown + NONE_MM
+
+
+def _ellipse(a: np.ndarray, b: np.ndarray, ra: np.ndarray, rb: np.ndarray) -> np.ndarray:
+    """About the distance from an ellipse with radii ``ra``, ``rb``, to first order."""
+    k0 = np.sqrt((a / ra) ** 2 + (b / rb) ** 2) + 1e-9
+    k1 = np.sqrt((a / ra**2) ** 2 + (b / rb**2) ** 2) + 1e-9
+    return k0 * (k0 - 1.0) / k1
+
+
+def _curtain_mm(x_mm: np.ndarray, cut: Curtain, params: HeadParams) -> np.ndarray:
+    """Field of hanging hair: a lofted body of hair, cut open for the face and the throat."""
+    groom = params.groom
     x, y, z = np.ascontiguousarray(x_mm.T)
+    end = -20.0 + (cut.end_mm + 20.0) * params.hair_length
+    if groom.wave > 0.05:
+        down, turn = smoothstep(-y, -40.0, 80.0), np.arctan2(x, z + 88.0)
+        size = (0.4 + 0.6 * groom.wave) * STYLES[params.hair_style].sway_mm
+        sway = size * down * np.sin(2 * np.pi * y / 64.0 + 2.4 * np.sin(3 * turn + params.seed % 13))
+        x, z = x + sway * np.cos(turn), z - sway * np.sin(turn)
+    heights = np.array([end - 1.0, -105.0 if end < -120.0 else 0.5 * (end - 60.0), -60.0, 0.0, 45.0, 75.0])
+    ear, jaw, tip = cut.half_mm
+    ear_b, jaw_b, tip_b = cut.back_mm
+    half = np.interp(y, heights, [tip, 0.5 * (jaw + tip), jaw, ear, 0.88 * ear, 50.0])
+    back = np.interp(y, heights, [tip_b, 0.5 * (jaw_b + tip_b), jaw_b, ear_b, 0.89 * ear_b, 56.0])
+    body = _ellipse(x, z + 88.0, half, back)
+    body = body - 1.6 * plane_noise(x_mm, params.seed + 31, 8, 80.0)
+    fall = cut.front_mm + groom.front_fall_mm * smoothstep(-y, 20.0, 120.0) + 60.0 * smoothstep(y, 15.0, 75.0)
+    inner = np.interp(y, [-200.0, -110.0, -60.0, 0.0, 25.0, 75.0], [44.0, 50.0, 57.0, 62.0, 62.0, 40.0])
+    opening = smooth_max(np.abs(x_mm[:, 0]) - inner, -74.0 - z, 8.0)
+    jag = 9.0 * np.abs(np.cos(14.0 * np.arctan2(x, z + 88.0) + params.seed % 5)) + 2.5 * plane_noise(
+        x_mm, params.seed + 33, 8, 30.0
+    )
+    body = smooth_max(smooth_max(body, z - fall, 14.0), -opening, 10.0)
+    # above, the layer on the scalp takes over
+    return smooth_max(smooth_max(body, end + jag - y, 12.0), y - 60.0, 24.0)
+
+
+def _ball_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
+    """Field of the ellipsoid that a round style is cut to."""
+    cx, cy, cz, rx, ry, rz = style.ball
+    radius = np.array([rx, ry, rz]) * (0.6 + 0.4 * size)
+    offset = x_mm - [cx, cy, cz]
+    k0 = np.linalg.norm(offset / radius, axis=1) + 1e-9
+    return k0 * (k0 - 1.0) / (np.linalg.norm(offset / radius**2, axis=1) + 1e-12)
+
+
+def _knots_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
+    """Field of a bun or a tail: balls and the cones between them."""
     out = np.full(len(x_mm), np.inf)
-    for cx, cy, cz, rx, ry, rz in style.volumes:
-        length = size if ry > 50 else 1.0
-        # longer hair hangs lower, its top stays
-        squares = [
-            ((a - c) / r) ** 2
-            for a, c, r in ((np.abs(x), cx, rx), (y, cy + 40 * (1 - length), ry * length), (z, cz, rz))
-        ]
-        k0 = np.sqrt(squares[0] + squares[1] + squares[2]) + 1e-9
-        k1 = np.sqrt(squares[0] / rx**2 + squares[1] / (ry * length) ** 2 + squares[2] / rz**2) + 1e-9
-        volume = k0 * (k0 - 1) / k1
-        gap = np.clip(10.0 - np.abs(out - volume), 0.0, None)
-        out = np.minimum(out, volume) - gap * gap / 40.0
-    return np.maximum(out, z - (style.front + 150.0 * smoothstep(y, 20.0, 70.0)))
+    for (ax, ay, az, ar), (bx, by, bz, br) in zip(style.knots[:-1], style.knots[1:], strict=True):
+        a, b = np.array([ax, ay, az]), np.array([bx, by, bz])
+        axis = b - a
+        t = np.clip((x_mm - a) @ axis / (axis @ axis), 0.0, 1.0)
+        d = np.linalg.norm(x_mm - a - t[:, None] * axis, axis=1) - (ar + t * (br - ar)) * np.clip(size, 0.85, 1.1)
+        out = smooth_min(out, d, 8.0) if np.isfinite(out).any() else d
+    return out
 
 
-def hair_field_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray | None = None) -> np.ndarray:
+def _relief_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
+    style, groom = STYLES[params.hair_style], params.groom
+    out = np.zeros(len(x_mm))
+    if style.relief:
+        u, w, fade = strand_coordinates(x_mm, style.flow, groom.part)
+        out += groom.clump * style.relief * fade * clumps(u, w, style.locks, params.seed, groom.wave)
+    if style.curl:
+        ripple = np.clip(plane_noise(x_mm, params.seed, 18, style.curl_mm), -2.2, 2.2)
+        # rounded curls with creases between them
+        out += groom.clump * style.curl * (0.9 - 1.5 * np.exp(-2.5 * np.abs(ripple)))
+    return out
+
+
+def hair_field_mm(
+    x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray | None = None, thickness: np.ndarray | None = None
+) -> np.ndarray:
     """The hair's field ``h`` (mm, negative inside) at template points (N, 3) in mm; +inf where there is none.
 
-    ``d_mm``: the scalp's distance there, if it is at hand. Relief is added within 9 mm of the hair's surface.
+    ``d_mm``: the scalp's distance there and ``thickness``: `thickness_mm`, if they are at hand.
     """
     style = STYLES[params.hair_style]
     if style.top == 0.0:
         return np.full(len(x_mm), np.inf)
     size = params.hair_length
     d = interpolate_scalp(x_mm) if d_mm is None else d_mm.astype(np.float64)
-    reach = 1.3 * size * max(style.top, style.side, style.back) + 10.0
+    reach = 1.35 * size * max(style.top + style.quiff, style.side, style.back) + RELIEF_REACH_MM
     # away from the scalp only the sign and a lower bound matter; nothing grows below the neck
-    h = np.where(x_mm[:, 1] > -110.0, d - reach + 4.0, d + 3.0)
-    near = np.flatnonzero((np.abs(d) < reach) & (x_mm[:, 1] > -110.0))
-    x = x_mm[near]
-    grown = np.zeros(len(x_mm))
-    above = hairline_height(x, style.recede) + 1.5 * curls(x, params.seed + 5, 8, 14.0)
-    thick = size * _layer_thickness(x, style, params.seed)
-    # in front the layer rises slowly from the forehead; elsewhere it ends in a cut
-    front = smoothstep(x[:, 2], -75.0, -30.0)
-    grown[near] = smoothstep(above / (style.edge + (0.4 + 1.1 * front) * thick), 0.0, 1.0)
-    h[near] = d[near] - ((thick + 3.0) * grown[near] - 3.0)
-    waves_of = np.flatnonzero((np.abs(h) < 9.0) & (grown > 0))
-    if style.relief:
-        ripple = style.relief * np.clip(strand_waves(x_mm[waves_of], style.waves, params.seed), -2.2, 2.2)
-        h[waves_of] -= ripple * grown[waves_of]
-    if style.curl:
-        ripple = style.curl * np.clip(curls(x_mm[waves_of], params.seed), -2.2, 2.2)
-        h[waves_of] -= ripple * grown[waves_of]
-    if style.volumes:
-        volume = _hanging_mm(x_mm, style, size)
-        own = np.flatnonzero(np.abs(volume) < 9.0)
-        ripple = style.relief * np.clip(strand_waves(x_mm[own], style.waves, params.seed), -2.2, 2.2)
-        volume[own] -= ripple
-        gap = np.clip(8.0 - np.abs(h - volume), 0.0, None)
-        h = np.minimum(h, volume) - gap * gap / 32.0
+    h = np.where(x_mm[:, 1] > LOWEST_LAYER_MM, d - reach + 4.0, d - NONE_MM)
+    near = np.flatnonzero((np.abs(d) < reach) & (x_mm[:, 1] > LOWEST_LAYER_MM))
+    layer = thickness_mm(x_mm[near], params) if thickness is None else thickness[near]
+    h[near] = d[near] - layer
+    if style.ball is not None:
+        h[near] = smooth_max(h[near], _ball_mm(x_mm[near], style, size), 12.0)
+    weight = np.zeros(len(x_mm))
+    weight[near] = smoothstep(layer, -1.0, 3.0)
+    if style.knots:
+        h = smooth_min(h, _knots_mm(x_mm, style, size), 10.0)
+        weight[h < RELIEF_REACH_MM] = np.maximum(weight, x_mm[:, 2] < -165.0)[h < RELIEF_REACH_MM]
+    if style.curtain is not None:
+        h_curtain = _curtain_mm(x_mm, style.curtain, params)
+        weight = np.maximum(weight, smoothstep(-h_curtain, -8.0, -2.0))
+        h = smooth_min(h, h_curtain, 9.0)
+    own = np.flatnonzero((np.abs(h) < RELIEF_REACH_MM) & (weight > 0))
+    h[own] -= weight[own] * _relief_mm(x_mm[own], params)
     return h
+
+
+def hair_cover(x_mm: np.ndarray, params: HeadParams, streaks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far hair hides what lies below, (N,) in [0, 1], and the hair's field there (mm).
+
+    ``streaks``: unit noise along the strands, (N,): a hairline is not an edge, strands reach beyond it singly.
+    """
+    style = STYLES[params.hair_style]
+    if style.top == 0.0:
+        return np.zeros(len(x_mm)), np.full(len(x_mm), np.inf)
+    d = interpolate_scalp(x_mm)
+    thick = thickness_mm(x_mm, params)
+    h = hair_field_mm(x_mm, params, d, thick)
+    rooted = smoothstep(thick + 0.55 * streaks, -2.4, -0.4) * (x_mm[:, 1] > LOWEST_LAYER_MM)
+    near = smoothstep(-h, -3.2 - 0.3 * streaks.clip(-1, 1), -1.1)
+    thin = 1.0 - (1.0 - style.density) * smoothstep(0.5 - 0.5 * streaks, -0.5, 1.0)
+    if style.thin_crown:
+        bare = np.exp(-0.5 * (((x_mm - [0, 95, -95]) / [34, 40, 42]) ** 2).sum(-1))
+        thin = thin * (1 - 0.75 * style.thin_crown * bare)
+    hanging = np.zeros(len(x_mm))
+    for part in (
+        _curtain_mm(x_mm, style.curtain, params) if style.curtain is not None else None,
+        _knots_mm(x_mm, style, params.hair_length) if style.knots else None,
+    ):
+        if part is not None:
+            hanging = np.maximum(hanging, smoothstep(-part, -4.0, -2.5) * smoothstep(-h, -1.4, -0.7))
+    return np.maximum(rooted * near * thin, hanging), h

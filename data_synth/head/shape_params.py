@@ -41,6 +41,10 @@ class NamedShape:
     smile: float = 0.0
     mouth_open: float = 0.0
     brow_raise: float = 0.0
+    sex: float = 0.0  # towards male: who has a beard, who long hair
+    age: float = 0.0  # -1.73 (18 years) to 1.73 (80)
+    gaze_left: float = 0.0  # -1 to 1, as gaze_up: the irises turn by up to 20 degrees
+    gaze_up: float = 0.0
 
 
 def sample_shape(rng: np.random.Generator) -> NamedShape:
@@ -52,4 +56,6 @@ def sample_shape(rng: np.random.Generator) -> NamedShape:
     values["smile"] = float(rng.uniform(0, 0.8)) if mood[0] else 0.0
     values["mouth_open"] = float(rng.uniform(0, 0.7)) if mood[1] else 0.0
     values["brow_raise"] = float(rng.uniform(-0.7, 0.7)) if mood[2] else 0.0
+    values["gaze_left"], values["gaze_up"] = (float(v) for v in np.clip(rng.normal(size=2) * (0.3, 0.15), -1, 1))
+    values["age"] = float(rng.uniform(-1.73, 1.73))
     return NamedShape(**values)
