@@ -12,7 +12,7 @@ import numpy as np
 from data_synth.cameras import look_at, rotation_xyz
 from data_synth.head.build import SynthHead, build_head
 from data_synth.head.params import HeadParams, sample_params
-from data_synth.lights import COOL, NEUTRAL, WARM, Lamp, Rig
+from data_synth.lights import Lamp, Rig
 from data_synth.render import RayScene, RenderConfig, Surface, render
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.numerics.colour import srgb_from_linear
@@ -48,10 +48,10 @@ VIEWS = {
 PORTRAIT_RIG = Rig(
     "portrait",
     (
-        Lamp(35.0, 30.0, 10.0, 1.0, WARM**0.15),
-        Lamp(-45.0, 5.0, 3.0, 0.45, COOL**0.2),
-        Lamp(-150.0, 35.0, 20.0, 0.5, NEUTRAL),
-        Lamp(0.0, 80.0, 1.0, 0.35, NEUTRAL),
+        Lamp(35.0, 30.0, 10.0, 1.0, np.array([1.06, 0.99, 0.91])),
+        Lamp(-45.0, 5.0, 3.0, 0.45, np.array([0.95, 1.0, 1.06])),
+        Lamp(-150.0, 35.0, 20.0, 0.5, np.ones(3)),
+        Lamp(0.0, 80.0, 1.0, 0.35, np.ones(3)),
     ),
 )
 FOCUS_M = 1.1  # a portrait's distance

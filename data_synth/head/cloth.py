@@ -1,7 +1,7 @@
 """Garments: where they cover the bust, how thick they lie and what colour they have.
 
-Notation: template frame, millimetres. A garment is a thickness over the skin, a function of position, so that it may be
-subtracted from the template's field; the neck's axis stands at z = -88, its radius is about 58 there.
+Notation: template frame, millimetres. A garment is a thickness over the skin, a function of position alone; the neck's
+axis stands at z = -88, its radius is about 58 there.
 """
 
 from __future__ import annotations
@@ -144,12 +144,6 @@ def cloth_layer(x_mm: np.ndarray, params: HeadParams) -> ClothLayer:
         layer.band,
     )
     return out
-
-
-def cloth_relief_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
-    """How far the garment raises the skin (mm)."""
-    layer = cloth_layer(x_mm, params)
-    return layer.cover * layer.thickness
 
 
 def cloth_colour(x_mm: np.ndarray, params: HeadParams, layer: ClothLayer) -> np.ndarray:

@@ -6,19 +6,20 @@ headwear are joined to it by a smooth minimum, so that the result is one closed 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from data_synth.head.beard import face_hair_relief_mm
-from data_synth.head.cloth import HIGHEST_MM, cloth_relief_mm
+from data_synth.head.cloth import HIGHEST_MM, cloth_layer
 from data_synth.head.grid import HeadGrid, refine_axis_values, template_grid
-from data_synth.head.hair import hair_field_mm
+from data_synth.head.hair import hair_field_mm, knots_mm
 from data_synth.head.hair_styles import STYLES
 from data_synth.head.headwear import VISOR_FRONT_MM, headwear_field_mm, under_headwear
 from data_synth.head.noise import smooth_min
 from data_synth.head.params import HeadParams
-from data_synth.head.scalp import interpolate_scalp
+from data_synth.head.scalp import interpolate_scalp, without_crumbs
 
 BLEND_MM = 1.0
 BOX_MM = ((-140.0, 140.0), (-230.0, 180.0), (-230.0, 42.0))
@@ -39,9 +40,10 @@ def _scalp_in_box(tall: bool) -> np.ndarray:
 @lru_cache(maxsize=2)
 def _grid(visor: bool) -> HeadGrid:
     """The template's grid; for a cap it reaches farther forward."""
-    grid = template_grid()
     if not visor:
-        return grid
+        grid = template_grid()
+        return replace(grid, field=without_crumbs(grid.field))
+    grid = _grid(False)
     more = np.arange(grid.z[-1] + 2.4e-3, VISOR_FRONT_MM * 1e-3 + 6e-3, 2.4e-3)
     beyond = grid.field[:, :, -1:] + (more - grid.z[-1]).astype(np.float32)
     return HeadGrid(grid.x, grid.y, np.r_[grid.z, more], np.concatenate([grid.field, beyond], axis=2))
@@ -78,6 +80,20 @@ def _thicken(grid: HeadGrid, field: np.ndarray, box_mm, reach_mm: float, relief)
     part[i, j, k] -= (1e-3 * relief(x) * np.clip(np.sqrt(slope), 0.2, 1.1)).astype(np.float32)
 
 
+def _dress(grid: HeadGrid, field: np.ndarray, params: HeadParams) -> None:
+    """Join the garment: a layer over the body, whose distance is known well beyond the template's own field."""
+    axes = _axes_mm(grid)
+    floor = axes[1][0] + 6.0
+    box = _box(axes, ((axes[0][0], axes[0][-1] + 1.0), (floor, HIGHEST_MM), (axes[2][0], 62.0)))
+    part = field[box]
+    i, j, k = np.nonzero((part > -4e-3) & (part < 1e-3 * THICKEST_CLOTH_MM))
+    x = np.stack([a[s][n] for a, s, n in zip(axes, box, (i, j, k), strict=True)], 1)
+    layer = cloth_layer(x, params)
+    thick = layer.cover * (layer.thickness + 3.0) - 3.0
+    body = 1e3 * part[i, j, k].astype(np.float64)
+    part[i, j, k] = 1e-3 * smooth_min(interpolate_scalp(x) - thick, body, BLEND_MM)
+
+
 def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
     """The template's grid and, on it, the field (m) of head, hair, garment and headwear together."""
     visor = params.dress.headwear == "cap"
@@ -88,10 +104,7 @@ def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
     reach = 2.0 * params.groom.beard_mm + 6.0 if beard else 5.0
     _thicken(grid, field, FACE_BOX_MM, reach, lambda x: face_hair_relief_mm(x, params))
     if params.dress.garment != "none":
-        floor = axes[1][0] + 6.0
-        box = ((axes[0][0], axes[0][-1] + 1.0), (floor, HIGHEST_MM), (axes[2][0], 62.0))
-        thick = 8.0 if params.dress.garment in ("tshirt", "vneck", "tank") else THICKEST_CLOTH_MM
-        _thicken(grid, field, box, thick, lambda x: cloth_relief_mm(x, params))
+        _dress(grid, field, params)
     style = STYLES[params.hair_style]
     if style.top == 0.0 and params.dress.headwear == "none":
         return grid, field
@@ -118,4 +131,7 @@ def _hair_and_headwear_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray
     if params.dress.headwear == "none":
         return hair
     g = headwear_field_mm(x_mm, params, d_mm)
-    return np.minimum(under_headwear(hair, g, x_mm, params), g)
+    pressed = np.minimum(under_headwear(hair, g, x_mm, params), g)
+    # a tail or a bun goes through the headwear
+    style = STYLES[params.hair_style]
+    return smooth_min(pressed, knots_mm(x_mm, style, params.hair_length), 4.0) if style.knots else pressed

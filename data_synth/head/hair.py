@@ -107,8 +107,8 @@ def _ball_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
     return k0 * (k0 - 1.0) / (np.linalg.norm(offset / radius**2, axis=1) + 1e-12)
 
 
-def _knots_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
-    """Field of a bun or a tail: balls and the cones between them."""
+def knots_mm(x_mm: np.ndarray, style: HairStyle, size: float) -> np.ndarray:
+    """Field of a bun or a tail: balls and the cones between them; +inf without. (N, 3) mm -> (N,) mm."""
     out = np.full(len(x_mm), np.inf)
     for (ax, ay, az, ar), (bx, by, bz, br) in zip(style.knots[:-1], style.knots[1:], strict=True):
         a, b = np.array([ax, ay, az]), np.array([bx, by, bz])
@@ -155,7 +155,7 @@ def hair_field_mm(
     weight = np.zeros(len(x_mm))
     weight[near] = smoothstep(layer, -1.0, 3.0)
     if style.knots:
-        h = smooth_min(h, _knots_mm(x_mm, style, size), 10.0)
+        h = smooth_min(h, knots_mm(x_mm, style, size), 10.0)
         weight[h < RELIEF_REACH_MM] = np.maximum(weight, x_mm[:, 2] < -165.0)[h < RELIEF_REACH_MM]
     if style.curtain is not None:
         h_curtain = _curtain_mm(x_mm, style.curtain, params)
@@ -186,7 +186,7 @@ def hair_cover(x_mm: np.ndarray, params: HeadParams, streaks: np.ndarray) -> tup
     hanging = np.zeros(len(x_mm))
     for part in (
         _curtain_mm(x_mm, style.curtain, params) if style.curtain is not None else None,
-        _knots_mm(x_mm, style, params.hair_length) if style.knots else None,
+        knots_mm(x_mm, style, params.hair_length) if style.knots else None,
     ):
         if part is not None:
             hanging = np.maximum(hanging, smoothstep(-part, -4.0, -2.5) * smoothstep(-h, -1.4, -0.7))

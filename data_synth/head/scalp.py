@@ -42,6 +42,18 @@ def _without_ears(t: Template) -> Template:
     return Template(drop(t.masses), drop(t.strokes), t.eyeball, t.lids, t.floor_mm)
 
 
+def without_crumbs(field: np.ndarray, least: float = 2e-3) -> np.ndarray:
+    """The field with only its largest connected inside; that of others becomes at least ``least`` (same unit)."""
+    from scipy.ndimage import label
+
+    piece, count = label(field < 0)
+    if count < 2:
+        return field
+    size = np.bincount(piece.ravel())
+    crumb = (piece > 0) & (piece != 1 + size[1:].argmax())
+    return np.where(crumb, np.maximum(np.abs(field), field.dtype.type(least)), field)
+
+
 @dataclass(frozen=True)
 class ScalpDistance:
     """Distance from the earless head (mm) on a coarse regular grid: axes in mm and values ``d[i, j, k]``."""
@@ -65,7 +77,7 @@ def scalp_distance(step_mm: float = 5.0) -> ScalpDistance:
     right = len(half) - 1
     bare = _without_ears(load_template())
     f_half = evaluate_template(nodes[right:].reshape(-1, 3) * 1e-3, bare).reshape(nodes[right:].shape[:3]) * 1e3
-    f = np.concatenate([f_half[:0:-1], f_half])
+    f = without_crumbs(np.concatenate([f_half[:0:-1], f_half]), 2.0)
     v, tri, _, _ = marching_cubes(np.where(np.abs(f) < 1e-4, 1e-4, f), 0.0)
     v = v * step_mm + [x[0], y[0], z[0]]
     scene = o3d.t.geometry.RaycastingScene()
