@@ -131,7 +131,7 @@ def evaluate_material(x_template_m: np.ndarray, params: HeadParams) -> tuple[np.
 
 
 def region_of(x_template_m: np.ndarray, params: HeadParams) -> np.ndarray:
-    """`Region` of each template point, (N,) int64: the uppermost that covers it by more than half."""
+    """`Region` of each template point, (N,) int64: the uppermost that covers it by more than half (a brow: a fifth)."""
     m = masks(np.asarray(x_template_m, np.float64) * 1e3, params)
     region = np.full(len(x_template_m), int(Region.SKIN))
     for cover, value in (
@@ -144,5 +144,5 @@ def region_of(x_template_m: np.ndarray, params: HeadParams) -> np.ndarray:
         (m.hair, Region.HAIR),
         (m.headwear, Region.HEADWEAR),
     ):
-        region[cover > (0.4 if value == Region.BROW else 0.5)] = int(value)
+        region[cover > (0.2 if value == Region.BROW else 0.5)] = int(value)
     return region
