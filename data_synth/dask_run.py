@@ -22,7 +22,7 @@ def run_on_dask(
     Raises
     ------
     MissingExtraError : Dask is not installed.
-    InputError : no scheduler answers, or a worker cannot see `out` or has another generator.
+    InputError : no scheduler or no worker answers, or a worker cannot see `out` or has another generator.
     """
     try:
         from distributed import Client, as_completed
@@ -30,9 +30,10 @@ def run_on_dask(
         raise MissingExtraError("dask[distributed]", "cluster") from None
     try:
         client = Client(address, timeout=CONNECT_SECONDS)
+        client.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except (OSError, ValueError) as error:
         raise InputError(
-            expected=f"a Dask scheduler at {address}",
+            expected=f"a Dask scheduler with workers at {address}",
             received=str(error) or type(error).__name__,
             remedy="start one with: dask scheduler, and workers with: dask worker ADDRESS --nthreads 1",
         ) from None
