@@ -49,7 +49,8 @@ class KillFigures:
 
 @dataclass(frozen=True)
 class SpeedFigures:
-    """scenes a minute once every worker draws, and with start-up; peak memory of the largest process."""
+    """scenes a minute once every worker draws, and with start-up; processor seconds a scene, start-up included, which
+    tell on a machine that others use too; peak memory of the largest process."""
 
     scenes: int
     workers: int
@@ -58,6 +59,7 @@ class SpeedFigures:
     scenes_per_minute: float
     scenes_per_minute_with_start: float
     seconds: float
+    processor_seconds_per_scene: float
     peak_process_mb: float
 
 
@@ -247,6 +249,7 @@ def measure_speed(arguments: argparse.Namespace, folder: Path) -> SpeedFigures:
         raise InputError(
             expected="more scenes than workers", received=f"{len(seen)} scenes", remedy="give a larger --count"
         )
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     # From the first round of scenes on, every worker has its template and draws.
     after = seen[arguments.workers :]
     return SpeedFigures(
@@ -257,7 +260,8 @@ def measure_speed(arguments: argparse.Namespace, folder: Path) -> SpeedFigures:
         scenes_per_minute=60.0 * len(after) / (after[-1] - seen[arguments.workers - 1]),
         scenes_per_minute_with_start=60.0 * len(seen) / seconds,
         seconds=seconds,
-        peak_process_mb=resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0,
+        processor_seconds_per_scene=(used.ru_utime + used.ru_stime) / len(seen),
+        peak_process_mb=used.ru_maxrss / 1024.0,
     )
 
 
