@@ -73,7 +73,7 @@ def fit_appearance(
     c = config
     device = geometry.z_sdf.device
     generator = torch.Generator(device).manual_seed(c.seed + 1)
-    surface = _usable_surface(portrait, geometry, c, generator)
+    surface = _seen_surface(portrait, geometry, c, generator)
     caster = Raycaster(surface_canonical) if c.shadows else None
     shadows = FitShadows(caster, c.rays, device=device) if caster is not None else None
     fit = AppearanceLosses(c, prior, surface, hidden_surface(geometry, surface, generator), shadows)
@@ -89,8 +89,7 @@ def fit_appearance(
             fit.refinement if c.steps_refinement else None,
             1.0 if c.steps_specular else 0.0,
         )
-        fit.look()
-        evidence = Evidence.of(fit.points, fit.light.lobes(), fit.held)
+        evidence = Evidence.of(fit.points, fit.light.lobes(), fit.shares())
         evidence, shadowed, shadow_decision = needed_shadows(evidence)
         evidence, lobe_decision = needed_lobes(evidence)
         head, specular_decision = needed_specular(head, evidence)
@@ -109,13 +108,12 @@ def fit_appearance(
     )
 
 
-def _usable_surface(
+def _seen_surface(
     portrait: Portrait, geometry: GeometryFit, c: AppearanceFitConfig, generator: torch.Generator
 ) -> SurfacePoints:
-    """The seen surface at unclipped pixels, at most `max_surface` of them."""
+    """The seen surface, at most `max_surface` points of it."""
     surface = visible_surface(portrait, geometry, at_most=2 * c.max_surface, generator=generator)
-    surface = surface.rows(torch.nonzero(surface.rays.usable)[:, 0])
-    require_pixels(len(surface), int(portrait.mask.sum()))
+    require_pixels(int(surface.rays.usable.sum()), int(portrait.mask.sum()))
     if len(surface) > c.max_surface:
         chosen = torch.randperm(len(surface), generator=generator, device=surface.x.device)[: c.max_surface]
         surface = surface.rows(chosen.sort().values)
@@ -130,7 +128,7 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
             return fit.losses(generator, k_s=k_s(step), refine=refine)
 
         def look(step: int, generator: torch.Generator) -> None:
-            if step % (c.rays.refresh_early if aimed_at is None else c.rays.refresh_aimed) == 0:
+            if refine and step % c.rays.refresh == 0:
                 fit.look()
 
         if aimed_at is None:

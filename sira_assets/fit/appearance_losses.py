@@ -53,6 +53,12 @@ class AppearanceFitConfig:
     seed: int = 0
 
 
+# d srgb_encode(x) / dx at x = 1: brighter than white, encoded values go on along this line, so that a gradient remains.
+SLOPE_AT_WHITE = 1.055 / 2.4
+# A channel of a clipped pixel counts as clipped from here, an 8-bit step below white.
+CLIPPED = 254.5 / 255.0
+
+
 class AppearanceLosses:
     """The loss terms of every step, and what they read: all tensors in it change in place."""
 
@@ -69,14 +75,19 @@ class AppearanceLosses:
         self.surface = surface
         step = max(1, len(surface) // config.early_surface)
         self.early = surface.rows(torch.arange(0, len(surface), step, device=device))
-        # Which points the present stage draws from, what they see, and the share of each lobe when last looked at.
-        self.points, self.table, self.held = self.early, None, None
+        # Which points the present stage draws from, and what they see.
+        self.points, self.table = self.early, None
         self.model = prior.appearance
         self.light = FreeLight(prior)
+        # Each lobe's share at all points when last looked at; nothing to keep without shadows.
+        self.held = torch.ones(len(surface) if shadows is not None else 0, len(self.light.log_sharpness), device=device)
         self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
         self.z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
         feature_size = surface.gamma.shape[-1]
-        self.refinement = AlbedoRefinement(config.refinement, feature_size=feature_size).to(device)
+        # Layers draw their first weights from the global generator: seeded here, and left as it was.
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.refinement = AlbedoRefinement(config.refinement, feature_size=feature_size).to(device)
         self._match_exposure()
 
     def state(self) -> dict[str, Tensor]:
@@ -84,7 +95,7 @@ class AppearanceLosses:
         names = ("axis", "log_sharpness", "log_amplitude")
         own = {name: getattr(self.light, name) for name in names} | {"z_a": self.z_a, "z_s": self.z_s}
         own |= {f"refinement.{key}": value for key, value in self.refinement.state_dict().items()}
-        return own | (self.shadows.state() if self.shadows is not None else {})
+        return own | (self.shadows.state() | {"held": self.held} if self.shadows is not None else {})
 
     def enter_early(self) -> None:
         """Draw from some of the points; shadows of a light that may be anywhere."""
@@ -100,15 +111,19 @@ class AppearanceLosses:
         self._enter(points, None if self.shadows is None else self.shadows.aimed_table(points))
 
     def _enter(self, points: SurfacePoints, table: VisibilityTable | None) -> None:
-        self.points, self.table, self.held = points, table, None
-        self.look()
+        self.points, self.table = points, table
 
     @torch.no_grad()
+    def shares(self) -> Tensor | None:
+        """(N, M) of the lobes where they now are, at the points of the present stage; None without shadows."""
+        if self.table is None:
+            return None
+        return self.table.share(torch.arange(len(self.points), device=self.points.x.device), *self.light.lobes()[:2])
+
     def look(self) -> None:
-        """Take the shares of the lobes where they now are."""
+        """Take the shares that the refinement holds."""
         if self.table is not None:
-            every = torch.arange(len(self.points), device=self.points.x.device)
-            self.held = self.table.share(every, *self.light.lobes()[:2])
+            self.held.copy_(self.shares())
 
     def losses(self, generator: torch.Generator, *, k_s: float, refine: bool) -> dict[str, Tensor]:
         """Weighted loss terms of one step.
@@ -130,10 +145,14 @@ class AppearanceLosses:
             extra = self.refinement(points.x_ref, points.gamma)
             albedo = (base + extra).clamp(1e-4, 1.0)
         lobes = self.light.lobes()
-        seen = None if self.held is None else self.held[rows]
+        if self.table is None:
+            seen = None
+        else:
+            # While the light is sought its shadows pull at it; in the refinement it hardly moves.
+            seen = self.held[rows] if refine else self.table.share(rows, *lobes[:2])
         shading = shade(points.normals, points.view, albedo, k_s * f0, *lobes, visibility=seen)
         losses = {
-            "colour": (srgb_encode(shading.radiance) - points.rays.rgb).abs().mean(),
+            "colour": colour_error(shading.radiance, points),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
             "light_prior": c.light_prior * self.light.energy(),
         }
@@ -157,3 +176,11 @@ class AppearanceLosses:
         shading: Shading = shade(surface.normals, surface.view, albedo, none, *lobes, roughness=ROUGHNESS)
         gain = srgb_decode(surface.rays.rgb).mean() / shading.radiance.mean().clamp_min(1e-6)
         self.light.scale(float(gain))
+
+
+def colour_error(radiance: Tensor, points: SurfacePoints) -> Tensor:
+    """Mean error, sRGB-encoded; a channel that the photo clipped says only: as bright as that, or brighter."""
+    encoded = torch.where(radiance > 1.0, 1.0 + SLOPE_AT_WHITE * (radiance - 1.0), srgb_encode(radiance))
+    error = encoded - points.rays.rgb
+    clipped = ~points.rays.usable[:, None] & (points.rays.rgb >= CLIPPED)
+    return torch.where(clipped, error.clamp_max(0.0), error).abs().mean()

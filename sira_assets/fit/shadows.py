@@ -31,13 +31,12 @@ class ShadowConfig:
     ----------
     early : directions all over the sphere, while the light is sought; they resolve lobes of sharpness early / pi
     aimed : directions once it is found, a quarter of them all over the sphere
-    refresh_early, refresh_aimed : steps between two looks at the shares of lobes that have moved meanwhile
+    refresh : steps of the refinement between two looks at the shares of lobes that have moved meanwhile
     """
 
     early: int = 256
     aimed: int = 256
-    refresh_early: int = 25
-    refresh_aimed: int = 100
+    refresh: int = 100
 
 
 class FitShadows:

@@ -149,3 +149,43 @@ def test_a_stranger_s_folder_is_not_overwritten(tmp_path):
     for overwrite in (False, True):
         with pytest.raises(InputError):
             delivery.check_target(tmp_path, overwrite=overwrite)
+
+
+def test_shadows_off_is_another_fit_and_says_nothing_of_shadows(journey):
+    first, _ = journey
+    settings = replace(SETTINGS, appearance=replace(APPEARANCE_FIT, shadows=False))
+    other = pipeline.run(portrait(), settings, prior=ball_prior())
+    assert not other.appearance.shadowed
+    assert "shadows" in [d.what for d in first.appearance.decisions]
+    assert "shadows" not in [d.what for d in other.appearance.decisions]
+
+
+def test_the_quality_presets_pass_shadows_on():
+    for quality in ("draft", "standard", "high"):
+        assert pipeline.settings_for(quality).appearance.shadows
+        assert not pipeline.settings_for(quality, shadows=False).appearance.shadows
+
+
+def test_a_killed_appearance_fit_goes_on_to_the_same(journey, tmp_path, monkeypatch):
+    """Also when it was killed among rays that were aimed at the light of that time."""
+    from sira_assets.fit import loop
+    from sira_assets.fit.appearance import fit_appearance
+    from sira_assets.fit.loop import Checkpoint
+
+    first, _ = journey
+    arguments = first.portrait, first.geometry, ball_prior(), first.surface
+    config = replace(APPEARANCE_FIT, steps_refinement=6)
+    whole, again = fit_appearance(*arguments, config), fit_appearance(*arguments, config)
+    np.testing.assert_array_equal(whole.light.amplitude, again.light.amplitude)
+    monkeypatch.setattr(loop, "SAVE_EVERY_SECONDS", 0.0)
+    checkpoint = Checkpoint(tmp_path / "appearance.safetensors", "key")
+
+    def kill(done, total):
+        if done == total - 2:
+            raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        fit_appearance(*arguments, config, checkpoint=checkpoint, report=kill)
+    resumed = fit_appearance(*arguments, config, checkpoint=checkpoint)
+    np.testing.assert_array_equal(whole.light.amplitude, resumed.light.amplitude)
+    torch.testing.assert_close(whole.head.z_s, resumed.head.z_s, rtol=0, atol=0)

@@ -268,3 +268,19 @@ def test_an_atlas_of_another_mesh_is_refused(baked):
     other = Atlas(atlas.uv, atlas.faces_uv[1:], AtlasReport("boxes", 1, 0.5, 0.0, 1.0))
     with pytest.raises(ValueError, match="unwrap this mesh"):
         bake(field, mesh, other, LIGHT, np.eye(4), BakeConfig(size=32))
+
+
+def test_irradiance_is_shadowed_by_the_shares_given(baked):
+    """Constant shares scale it; a share per lobe takes that lobe's light; the other maps are as without."""
+    from sira_assets.render.visibility import SurfaceVisibility
+
+    field, mesh, atlas, plain = baked
+    half = SurfaceVisibility(mesh, np.full((len(mesh.vertices), 2), 0.5, np.float32))
+    shadowed = bake(field, mesh, atlas, LIGHT, np.eye(4), BakeConfig(size=SIZE), shadows=half)
+    np.testing.assert_allclose(shadowed.irradiance, 0.5 * plain.irradiance, rtol=1e-5)
+    np.testing.assert_array_equal(shadowed.diffuse, plain.diffuse)
+    first = SurfaceVisibility(mesh, np.tile(np.array([1.0, 0.0], np.float32), (len(mesh.vertices), 1)))
+    one = bake(field, mesh, atlas, LIGHT, np.eye(4), BakeConfig(size=SIZE), shadows=first)
+    alone = SGLight(LIGHT.axis[:1], LIGHT.sharpness[:1], LIGHT.amplitude[:1])
+    expected = bake(field, mesh, atlas, alone, np.eye(4), BakeConfig(size=SIZE))
+    np.testing.assert_allclose(one.irradiance, expected.irradiance, rtol=1e-5, atol=1e-6)
