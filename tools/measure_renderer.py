@@ -12,6 +12,9 @@ shadow, not how an edge is filtered. Light is lights.json on a lat-long map fine
 No pixel of the mask is left out of the PSNR. Rays exactly through an edge may slip between triangles in one renderer
 and not in the other. The column `black` counts pixels that only one of the two has black, `lit dB` is the PSNR without.
 
+--curve needs no Mitsuba: it renders each scene's mesh with 16 to 256 directions a pixel and with 4096, and prints the
+PSNR between them and the CPU seconds, which is the generator's own noise against its cost.
+
 Exit status: 0 all scenes agree, 3 unusable input or no Mitsuba, 4 a scene is below --least.
 """
 
@@ -28,6 +31,8 @@ from _cli import run
 # lowers the lobe's peak by 1 / (4 * 6^2), less than 1 %, and keeps its energy.
 ROWS_PER_DEVIATION = 6.0
 MAP_HEIGHTS = (256, 512, 1024, 2048)
+CURVE_SAMPLES = (16, 32, 64, 128, 256)
+CURVE_COLUMNS = ("scene", "samples", "diffuse dB", "picture dB", "CPU seconds")
 COLUMNS = ("PSNR dB", "SSIM", "lit dB", "black", "bias %", "pixels", "map rows", "seconds")
 
 
@@ -64,6 +69,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--least", type=float, default=38.0, metavar="DB", help="PSNR that every scene needs (default 38)")
     out.add_argument("--threads", type=int, default=1, metavar="N", help="threads of Mitsuba (default 1)")
     out.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    out.add_argument("--curve", action="store_true", help="print noise and cost against samples instead; no Mitsuba")
     return out
 
 
@@ -76,7 +82,16 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def measure(arguments: argparse.Namespace) -> int:
-    """Print a line a scene and the worst."""
+    """Print a line a scene and the worst, or the curve."""
+    if arguments.curve:
+        rows = [(folder.resolve().name, *row) for folder in scene_folders(arguments.scenes) for row in curve(folder)]
+        if arguments.json:
+            print(json.dumps([dict(zip(CURVE_COLUMNS, row, strict=True)) for row in rows], indent=1))
+        else:
+            print(f"{CURVE_COLUMNS[0]:<20}" + "".join(f"{name:>14}" for name in CURVE_COLUMNS[1:]))
+            for name, samples, diffuse, image, seconds in rows:
+                print(f"{name:<20}{samples:>14}{diffuse:>14.2f}{image:>14.2f}{seconds:>14.2f}")
+        return 0
     mi = load_mitsuba(arguments.threads)
     figures = []
     for folder in scene_folders(arguments.scenes):
@@ -189,6 +204,42 @@ def measure_scene(mi, folder: Path, samples: int) -> SceneFigures:
         map_height=height,
         seconds=time.perf_counter() - begin,
     )
+
+
+def curve(folder: Path) -> list[tuple[int, float, float, float]]:
+    """(samples, PSNR of the diffuse part, PSNR of the picture, CPU seconds), all against 4096 samples.
+
+    The scene's mesh has its vertices' colours here, and ks of 1, so that highlights count fully.
+    """
+    import numpy as np
+    import trimesh
+
+    from data_synth.render import RayScene, RenderConfig, Surface, render
+    from sira_assets.measure.image_metrics import score_image
+    from sira_assets.mesh.triangle_mesh import TriangleMesh
+    from sira_assets.numerics.colour import linear_from_srgb
+    from sira_assets.scene.landmarks import read_json
+    from sira_assets.scene.read_scene import read_frames
+    from sira_assets.scene.sg_light import SGLight
+
+    loaded = trimesh.load(folder / "gt" / "mesh.ply", process=False)
+    albedo = linear_from_srgb(np.asarray(loaded.visual.vertex_colors)[:, :3] / 255.0)
+    mesh = TriangleMesh(loaded.vertices, loaded.faces, loaded.vertex_normals)
+    roughness = read_json(folder / "gt" / "brdf.json")["roughness"]
+    rays = RayScene(Surface(mesh, albedo, lambda c: (c, np.full(len(c), 0.04)), roughness))
+    camera, light = read_frames(folder)[0].camera, SGLight.from_dict(read_json(folder / "gt" / "lights.json"))
+    truth = render(rays, camera, light, np.random.default_rng(1), RenderConfig(4096))
+    out = []
+    for samples in CURVE_SAMPLES:
+        begin = time.process_time()
+        ours = render(rays, camera, light, np.random.default_rng(0), RenderConfig(samples))
+        seconds = time.process_time() - begin
+        scores = [
+            score_image(getattr(ours, name), getattr(truth, name), truth.mask, encoding="srgb").psnr_db
+            for name in ("diffuse_radiance", "image")
+        ]
+        out.append((samples, *scores, seconds))
+    return out
 
 
 def map_height(sharpness: float) -> int:
