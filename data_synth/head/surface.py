@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from data_synth.head.grid import extract, template_grid
-from data_synth.head.identity import load_population
+from data_synth.head.population import load_population
 
 ANCHOR_COUNT = 400
 
