@@ -155,3 +155,9 @@ def test_help_is_instant(tool):
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "usage" in done.stdout.lower()
+
+
+def test_test_modules_have_names_of_their_own():
+    """pytest imports them by their bare names."""
+    names = [path.name for path in python_files("tests")]
+    assert sorted(names) == sorted(set(names))
