@@ -63,7 +63,7 @@ def _shirt(x_mm: np.ndarray, neckline: float, seed: int) -> ClothLayer:
     top = _edge(x_mm, -150.0 - 6.0 * neckline, -140.0, -128.0)
     # the leaf folds down from the band and ends in two points
     leaf_low = np.interp(x, [0.0, 12.0, 34.0, 42.0, 60.0, 90.0], [-164.0, -176.0, -206.0, -204.0, -186.0, -176.0])
-    leaf_low = np.where(z > -85.0, leaf_low, -164.0)
+    leaf_low = -164.0 + (leaf_low + 164.0) * smoothstep(z, -112.0, -72.0)
     # unbuttoned to a depth that the neckline says
     opening = np.clip(y + 172.0 + 44.0 * neckline, -20.0, None) * (0.12 + 0.30 * neckline)
     spread = x - (7.0 + (-146.0 - y) * (0.42 + 0.25 * neckline))

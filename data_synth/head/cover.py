@@ -6,7 +6,6 @@ headwear are joined to it by a smooth minimum, so that the result is one closed 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,6 +21,8 @@ from data_synth.head.params import HeadParams
 from data_synth.head.scalp import interpolate_scalp, without_crumbs
 
 BLEND_MM = 1.0
+EAR_PRESSED_MM = 6.0
+HAIR_REACH_M = 0.135
 BOX_MM = ((-140.0, 140.0), (-230.0, 180.0), (-230.0, 42.0))
 FACE_BOX_MM = ((-74.0, 74.0), (-150.0, 36.0), (-80.0, 60.0))
 THICKEST_CLOTH_MM = 26.0
@@ -42,7 +43,12 @@ def _grid(visor: bool) -> HeadGrid:
     """The template's grid; for a cap it reaches farther forward."""
     if not visor:
         grid = template_grid()
-        return replace(grid, field=without_crumbs(grid.field))
+        # wide hair reaches where the bust alone is coarse enough
+        middle = 0.5 * (grid.x[1:] + grid.x[:-1])
+        wide = (np.diff(grid.x) > 3e-3) & (np.abs(middle) < HAIR_REACH_M)
+        x = np.sort(np.r_[grid.x, middle[wide]])
+        field = refine_axis_values(without_crumbs(grid.field), (grid.x, grid.y, grid.z), (x, grid.y, grid.z))
+        return HeadGrid(x, grid.y, grid.z, field)
     grid = _grid(False)
     more = np.arange(grid.z[-1] + 2.4e-3, VISOR_FRONT_MM * 1e-3 + 6e-3, 2.4e-3)
     beyond = grid.field[:, :, -1:] + (more - grid.z[-1]).astype(np.float32)
@@ -121,6 +127,14 @@ def composed_field(params: HeadParams) -> tuple[HeadGrid, np.ndarray]:
     i, j, k = np.nonzero((np.abs(cover) < BAND_MM) & (part > -5e-3))
     x = np.stack([a[n] for a, n in zip(own, (i, j, k), strict=True)], 1)
     cover[i, j, k] = _hair_and_headwear_mm(x, params, _scalp_in_box(visor)[i, j, k].astype(np.float64))
+    if style.curtain is not None:
+        # hair that hangs over the ears presses them to the head
+        ear = _box(axes, ((-140.0, 140.0), (-75.0, 25.0), (-125.0, -48.0)))
+        ears = field[ear]
+        scalp = _scalp_in_box(visor)[
+            tuple(slice(e.start - b.start, e.stop - b.start) for e, b in zip(ear, box, strict=True))
+        ]
+        np.maximum(ears, 1e-3 * (scalp - EAR_PRESSED_MM), out=ears)
     outside = part > -5e-3
     part[outside] = 1e-3 * smooth_min(cover[outside], 1e3 * part[outside], BLEND_MM)
     return grid, field

@@ -77,7 +77,7 @@ def sample_pigment(rng: np.random.Generator, shape: NamedShape, male: bool) -> P
     dark = float(rng.random())
     low, high = np.log(MELANIN_OF_DARK)
     melanin = float(np.clip(np.exp(low + (high - low) * dark + 0.06 * rng.normal()), 0.008, 0.32))
-    hair = 1.0 - (1.0 - rng.uniform(0.05, 1.0)) * (1.0 - dark) ** 1.3
+    hair = 1.0 - (1.0 - rng.uniform(0.02, 1.0) ** 1.4) * (1.0 - dark) ** 1.3
     red = float(rng.beta(1.1, 3.5) * (1.0 - 0.75 * dark))
     if rng.random() < 0.06 * (1 - dark) and hair < 0.8:
         hair, red = float(rng.uniform(0.3, 0.65)), float(rng.uniform(0.7, 1.0))

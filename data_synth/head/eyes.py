@@ -69,6 +69,12 @@ def _iris_offset(x_mm: np.ndarray, params: HeadParams) -> tuple[np.ndarray, np.n
     return (n[:, 0] - side * np.sin(turn[0])) * radius[0], (n[:, 1] - np.sin(turn[1])) * radius[1]
 
 
+def eye_ks(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
+    """Specular scale (N,): a wet sclera; the iris lies behind a cornea too smooth for the head's one roughness."""
+    r = np.hypot(*_iris_offset(x_mm, params))
+    return 0.60 + 0.65 * smoothstep(r, IRIS_MM - 0.5, IRIS_MM + 0.5)
+
+
 def eye_colour(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
     """Diffuse albedo of eyeball and cornea (N, 3), linear Rec. 709."""
     a, b = _iris_offset(x_mm, params)

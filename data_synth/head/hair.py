@@ -72,6 +72,8 @@ def _ellipse(a: np.ndarray, b: np.ndarray, ra: np.ndarray, rb: np.ndarray) -> np
 
 def _curtain_mm(x_mm: np.ndarray, cut: Curtain, params: HeadParams) -> np.ndarray:
     """Field of hanging hair: a lofted body of hair, cut open for the face and the throat."""
+    from scipy.interpolate import PchipInterpolator
+
     groom = params.groom
     x, y, z = np.ascontiguousarray(x_mm.T)
     end = -20.0 + (cut.end_mm + 20.0) * params.hair_length
@@ -80,11 +82,13 @@ def _curtain_mm(x_mm: np.ndarray, cut: Curtain, params: HeadParams) -> np.ndarra
         size = (0.4 + 0.6 * groom.wave) * STYLES[params.hair_style].sway_mm
         sway = size * down * np.sin(2 * np.pi * y / 64.0 + 2.4 * np.sin(3 * turn + params.seed % 13))
         x, z = x + sway * np.cos(turn), z - sway * np.sin(turn)
-    heights = np.array([end - 1.0, -105.0 if end < -120.0 else 0.5 * (end - 60.0), -60.0, 0.0, 45.0, 75.0])
+    heights = np.array([end - 1.0, -105.0 if end < -120.0 else 0.5 * (end - 60.0), -60.0, -10.0, 45.0, 75.0])
     ear, jaw, tip = cut.half_mm
     ear_b, jaw_b, tip_b = cut.back_mm
-    half = np.interp(y, heights, [tip, 0.5 * (jaw + tip), jaw, ear, 0.88 * ear, 50.0])
-    back = np.interp(y, heights, [tip_b, 0.5 * (jaw_b + tip_b), jaw_b, ear_b, 0.89 * ear_b, 56.0])
+    # smooth in height: a kink would show as a line around the head
+    inside = np.clip(y, heights[0], heights[-1])
+    half = PchipInterpolator(heights, [tip, 0.5 * (jaw + tip), jaw, ear, 0.88 * ear, 50.0])(inside)
+    back = PchipInterpolator(heights, [tip_b, 0.5 * (jaw_b + tip_b), jaw_b, ear_b, 0.89 * ear_b, 56.0])(inside)
     body = _ellipse(x, z + 88.0, half, back)
     body = body - 1.6 * plane_noise(x_mm, params.seed + 31, 8, 80.0)
     fall = cut.front_mm + groom.front_fall_mm * smoothstep(-y, 20.0, 120.0) + 60.0 * smoothstep(y, 15.0, 75.0)
@@ -189,5 +193,5 @@ def hair_cover(x_mm: np.ndarray, params: HeadParams, streaks: np.ndarray) -> tup
         knots_mm(x_mm, style, params.hair_length) if style.knots else None,
     ):
         if part is not None:
-            hanging = np.maximum(hanging, smoothstep(-part, -4.0, -2.5) * smoothstep(-h, -1.4, -0.7))
+            hanging = np.maximum(hanging, smoothstep(-part, -4.5, -3.0) * smoothstep(-h, -2.4, -1.5))
     return np.maximum(rooted * near * thin, hanging), h

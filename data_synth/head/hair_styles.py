@@ -106,7 +106,7 @@ STYLES = {
         flow=PARTED,
         part=3.5,
         fringe=Fringe(38, arch=-12, thick=8, notch=6, locks=12),
-        curtain=Curtain(-98, (95, 92, 84), (104, 96, 78), front_mm=-26),
+        curtain=Curtain(-98, (102, 93, 84), (104, 96, 78), front_mm=-26),
     ),
     "long": HairStyle(
         top=12,
@@ -116,7 +116,7 @@ STYLES = {
         locks=40,
         flow=PARTED,
         part=5,
-        curtain=Curtain(-196, (92, 86, 88), (102, 92, 92)),
+        curtain=Curtain(-196, (101, 90, 88), (102, 92, 92)),
     ),
     "wavy": HairStyle(
         top=15,
@@ -129,7 +129,7 @@ STYLES = {
         sway_mm=9.0,
         flow=PARTED,
         part=4,
-        curtain=Curtain(-170, (96, 95, 99), (104, 100, 98)),
+        curtain=Curtain(-170, (103, 97, 99), (104, 100, 98)),
     ),
     "ponytail": HairStyle(
         top=6,

@@ -14,7 +14,7 @@ import numpy as np
 
 from data_synth.head.beard import beard_cover, brow_cover, stubble_cover
 from data_synth.head.cloth import ClothLayer, cloth_colour, cloth_layer
-from data_synth.head.eyes import EyeMasks, eye_colour, eye_masks
+from data_synth.head.eyes import EyeMasks, eye_colour, eye_ks, eye_masks
 from data_synth.head.hair import hair_cover
 from data_synth.head.hair_colour import hair_albedo, strand_albedo
 from data_synth.head.hair_flow import strand_coordinates, strands
@@ -119,7 +119,7 @@ def evaluate_material(x_template_m: np.ndarray, params: HeadParams) -> tuple[np.
         (m.nostril, 0.3),
         (m.mouth.inner, 0.6),
         (m.eyes.moist, 1.15),
-        (m.eyes.eye, 1.25),
+        (m.eyes.eye, eye_ks(x_mm, params)),
         (m.eyes.lashes, 0.5),
         (m.beard, 0.5),
         (m.cloth.cover, 0.35),
