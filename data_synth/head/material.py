@@ -20,7 +20,7 @@ from data_synth.head.hair_colour import hair_albedo, strand_albedo
 from data_synth.head.hair_flow import strand_coordinates, strands
 from data_synth.head.hair_styles import STYLES
 from data_synth.head.headwear import headwear_colour, headwear_field_mm, headwear_reach
-from data_synth.head.noise import smoothstep
+from data_synth.head.noise import plane_noise, smoothstep
 from data_synth.head.params import HeadParams
 from data_synth.head.scalp import interpolate_scalp
 from data_synth.head.skin_regions import MouthMasks, mouth_masks, nostril_mask, skin_colour, skin_ks
@@ -62,8 +62,13 @@ class Masks:
 
 def masks(x_mm: np.ndarray, params: HeadParams) -> Masks:
     """Coverage of every region at template points (N, 3) in millimetres."""
-    u, w, fade = strand_coordinates(x_mm, STYLES[params.hair_style].flow, params.groom.part)
-    streaks = fade * (0.75 * strands(u, w, 230, params.seed + 9) + 0.55 * fade * strands(u, w, 420, params.seed + 10))
+    style = STYLES[params.hair_style]
+    if style.curl > 1.0:
+        streaks = 0.9 * plane_noise(x_mm, params.seed + 9, 24, 3.5)
+    else:
+        u, w, fade = strand_coordinates(x_mm, style.flow, params.groom.part)
+        streaks = fade * strands(u, w, 230, params.seed + 9) * 0.75
+        streaks = streaks + 0.55 * fade**2 * strands(u, w, 420, params.seed + 10)
     hair, _ = hair_cover(x_mm, params, streaks)
     headwear = np.zeros(len(x_mm))
     kind = params.dress.headwear
