@@ -97,8 +97,17 @@ def beard_length_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
 
 def face_hair_relief_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
     """How far brows, stubble and beard raise the skin at points (N, 3); (N,) mm."""
+    out = np.zeros(len(x_mm))
+    brow = np.flatnonzero((x_mm[:, 1] > 0.0) & (x_mm[:, 2] > -16.0))
+    out[brow] = (0.35 + 0.75 * params.pigment.brow_weight) * brow_cover(x_mm[brow], params)
+    low = np.flatnonzero(x_mm[:, 1] <= 0.0)
+    out[low] = _beard_relief_mm(x_mm[low], params)
+    return out
+
+
+def _beard_relief_mm(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
     p, groom = params.pigment, params.groom
-    out = (0.35 + 0.75 * p.brow_weight) * brow_cover(x_mm, params)
+    out = np.zeros(len(x_mm))
     if p.stubble > 0.0:
         zone = beard_zone(x_mm, "full")
         out = out + 0.10 * p.stubble * zone * (1.0 + plane_noise(x_mm, params.seed + 55, 10, 4.0))

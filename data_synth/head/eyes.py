@@ -62,7 +62,7 @@ def _iris_offset(x_mm: np.ndarray, params: HeadParams) -> tuple[np.ndarray, np.n
     radius = np.exp(eyeball[3:])
     folded = np.stack([np.abs(x_mm[:, 0]), x_mm[:, 1], x_mm[:, 2]], -1)
     n = (folded - eyeball[:3]) / radius
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n /= np.linalg.norm(n, axis=1, keepdims=True) + 1e-9
     turn = np.radians(GAZE_DEGREES) * np.array([params.shape.gaze_left, params.shape.gaze_up])
     # the ellipsoid is flatter than an eyeball; what counts is how far the iris moves over it
     side = np.sign(x_mm[:, 0])
