@@ -40,7 +40,7 @@ def strand_albedo(x_mm: np.ndarray, params: HeadParams, streaks: np.ndarray, bea
     # lighter strands are yellower: the pigment thins out
     out = colour ** (1.0 - 0.10 * np.clip(streaks + 0.5 * tip, -1.5, 1.5))[:, None] * light[:, None]
     white = p.grey * (1.15 if beard else 1.0)
-    grey = smoothstep(white * 2.0 + 0.28 * np.clip(streaks, -2, 2) + 0.12 * wide, 0.8, 1.5) * min(6.0 * white, 1.0)
+    grey = smoothstep(white * 2.0 + 0.20 * np.clip(streaks, -2, 2) + 0.12 * wide, 0.3, 2.0) * min(6.0 * white, 1.0)
     # white begins at the temples
     side = smoothstep(np.abs(x_mm[:, 0]), 25.0, 65.0) * smoothstep(40.0 - x_mm[:, 1], -40.0, 20.0)
     side = side * smoothstep(x_mm[:, 1], -75.0, -25.0)
