@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_synth.head.bells import sum_bells
+from data_synth.head.bells import Bells, sum_bells
 from data_synth.head.identity import jacobian_determinant, make_warp, warp_points
 from data_synth.head.params import HeadParams, sample_params
 from data_synth.head.relief import relief_basis, relief_bells, windows
@@ -21,14 +21,24 @@ def surface():
 
 def columns(x_mm: np.ndarray) -> np.ndarray:
     """Displacement (N, 3, RELIEF_SIZE) of each coefficient at 1, millimetres."""
-    return np.stack([sum_bells(relief_bells(np.eye(RELIEF_SIZE)[k]), x_mm) for k in range(RELIEF_SIZE)], -1)
+    basis = relief_basis()
+    vector = (basis.normal[:, :, None] * basis.heights_mm[:, None]).reshape(len(basis.sites_mm), -1)
+    bells = Bells(basis.sites_mm, np.repeat(basis.width_mm[:, None], 3, 1), vector)
+    return sum_bells(bells, x_mm).reshape(-1, 3, RELIEF_SIZE)
+
+
+def test_a_head_adds_its_coefficients(surface):
+    x = surface.vertices_m[::997] * 1e3
+    r = np.random.default_rng(0).normal(size=RELIEF_SIZE)
+    assert np.abs(sum_bells(relief_bells(r), x) - columns(x) @ r).max() < 1e-9
 
 
 def test_coefficients_are_even_or_odd(surface):
     x = surface.vertices_m[:: len(surface.vertices_m) // 800] * 1e3
     u, v = columns(x), columns(x * MIRROR) * MIRROR[:, None]
     sign = np.array([1.0 if "_even_" in name else -1.0 for name in RELIEF_NAMES])
-    assert np.abs(u - sign * v).max() < 1e-6
+    # interpolation between sites solves normal equations, which square the condition number (1e3 by the ridge)
+    assert np.abs(u - sign * v).max() < 1e-3
 
 
 def test_relief_leaves_the_landmarks_alone(surface):
@@ -44,7 +54,7 @@ def test_relief_leaves_the_landmarks_alone(surface):
 
 def test_relief_has_its_amplitude_between_landmarks(surface):
     """Far from landmarks the deviation approaches the regions' amplitude; near them it is less; never more."""
-    x = surface.vertices_m[::97] * 1e3
+    x = surface.vertices_m[::197] * 1e3
     x = x[x[:, 1] > -150.0]
     away = np.linalg.norm(x[:, None] - surface.landmarks_m * 1e3, axis=2).min(1)
     deviation = np.sqrt((columns(x) ** 2).sum((1, 2)))
