@@ -30,8 +30,8 @@ class ReliefConfig:
     face_spacing, rest_spacing : distance between sites on the face and elsewhere; bells are as wide
     long_scale, short_scale, short_share : the kernel's two lengths, and the short one's part of the variance
     noise : standard deviation of the relief at the landmarks as a part of that far from them
-    odd_ratio : standard deviation of the odd part over the even part's. Real faces are nearly symmetric: 0.35 was
-        measured on the real heads (``tools/measure_generator.py`` prints it).
+    odd_ratio : standard deviation of the odd part over the even part's: faces are nearly symmetric. With 0.35 random
+        heads are more asymmetric than the model heads and less than the scan (``tools/measure_generator.py``).
     """
 
     face_spacing: float = 9.0

@@ -24,7 +24,7 @@ class ReliefRegion:
         Spread of the region's share of the surface.
     amplitude_mm : float
         Standard deviation along the surface normal far from landmarks; calibrated against the surface variation of
-        real heads between their landmarks (``tools/measure_generator.py`` prints both).
+        real heads between their landmarks (``tools/fit_generator.py`` prints both).
     even, odd : int
         Number of coefficients.
     scale : float
