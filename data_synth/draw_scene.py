@@ -9,6 +9,7 @@ import numpy as np
 
 from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_canonical
 from data_synth.occluders import sample_occluder
+from data_synth.one_thread import one_thread
 from data_synth.render import Occluder, RayScene, RenderConfig, Surface, render
 from data_synth.scan_back import without_back
 from data_synth.scene_light import sample_scene_light
@@ -26,6 +27,7 @@ FRAMED_ABOVE_M = -0.125  # canonical y: the head down to just below the chin is 
 FACE_RADIUS_M = 0.095  # around the nose tip, as measured regions have it
 
 
+@one_thread
 def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
     """Draw and render scene `index`; a pure function of its arguments (and of a scan's files)."""
     streams = settings.stream(index).spawn(5)

@@ -16,6 +16,7 @@ from data_synth.head.identity import Warp, make_warp, warp_points
 from data_synth.head.material import evaluate_material, region_of
 from data_synth.head.params import HeadParams
 from data_synth.head.surface import bald_surface
+from data_synth.one_thread import one_thread
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, IBUG68_OF_CANONICAL, similarity
 
 
@@ -72,6 +73,7 @@ def _apply(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
     return x @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+@one_thread
 def build_head(params: HeadParams) -> SynthHead:
     """Build a head; the same parameters give the same arrays.
 

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from data_synth.head.template import Template, load_template, strokes_near, template_field
+from data_synth.one_thread import one_thread
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ def sample_grid(template: Template, fine_mm: float = 1.3, coarse_mm: float = 2.6
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def template_grid() -> HeadGrid:
     """The shipped template on its grid; computed once per process."""
     return sample_grid(load_template())

@@ -26,6 +26,7 @@ from data_synth.head.population import IDENTITY_SIZE, coefficients, load_populat
 from data_synth.head.relief import relief_bells
 from data_synth.head.shape_params import SIGMA_NAMES, NamedShape, sigma_values, trait_values
 from data_synth.head.traits import effective_values, trait_coefficients, trait_loadings
+from data_synth.one_thread import one_thread
 
 # Largest part of the variance of any landmark direction that named parameters and traits may carry; the rest is left
 # to the identity, which then still reaches every direction.
@@ -82,6 +83,7 @@ def own_values(shape: NamedShape) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def landmark_maps() -> tuple[np.ndarray, np.ndarray]:
     """``S`` (30, 30) and ``G`` (30, parameters + traits), see above."""
     at = load_population().mean_m * 1e3

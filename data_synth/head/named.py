@@ -15,6 +15,7 @@ import numpy as np
 
 from data_synth.head.bells import Bells, sum_bells
 from data_synth.head.shape_params import AMOUNTS, SIGMA_NAMES
+from data_synth.one_thread import one_thread
 
 NAMES = (*SIGMA_NAMES, *AMOUNTS)
 
@@ -145,6 +146,7 @@ SCALED = (
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def named_bells() -> tuple[Bells, np.ndarray]:
     """All bells with their vectors per sigma, (Q, 3), and the parameter's index in `NAMES` each belongs to, (Q,)."""
     rows: list[tuple[int, tuple, tuple, tuple]] = []

@@ -19,6 +19,7 @@ from data_synth.head.bells import Bells, bell
 from data_synth.head.population import load_population
 from data_synth.head.relief_params import REGIONS, RELIEF_SIZE
 from data_synth.head.surface import bald_surface, spread_points
+from data_synth.one_thread import one_thread
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,7 @@ def windows(sites_mm: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def relief_basis(config: ReliefConfig = ReliefConfig()) -> ReliefBasis:
     """The basis that ships: computed once per process from the template (a second)."""
     half, width, normal = _half_sites(config)

@@ -12,6 +12,7 @@ import numpy as np
 
 from data_synth.head.grid import evaluate_template, graded_axis
 from data_synth.head.template import Primitives, Template, load_template
+from data_synth.one_thread import one_thread
 
 EAR_NAMES = (
     "ear",
@@ -65,6 +66,7 @@ class ScalpDistance:
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def scalp_distance(step_mm: float = 5.0) -> ScalpDistance:
     """Computed once per process; linear interpolation of it errs by about step^2 / (8 * 70 mm) on the skull."""
     import open3d as o3d

@@ -12,6 +12,7 @@ import numpy as np
 
 from data_synth.head.grid import extract, template_grid
 from data_synth.head.population import load_population
+from data_synth.one_thread import one_thread
 
 ANCHOR_COUNT = 400
 
@@ -48,6 +49,7 @@ def spread_points(points_m: np.ndarray, density: np.ndarray, count: int) -> np.n
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def bald_surface() -> BaldSurface:
     """The shipped template, meshed."""
     grid = template_grid()

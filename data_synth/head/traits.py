@@ -21,6 +21,7 @@ import numpy as np
 from data_synth.head.named import NAMES
 from data_synth.head.population import load_population
 from data_synth.head.shape_params import TRAITS
+from data_synth.one_thread import one_thread
 
 LOADINGS: dict[str, dict[str, float]] = {
     "sex": {
@@ -109,6 +110,7 @@ _TOLERANCE_MM = 0.3
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def trait_loadings() -> np.ndarray:
     """Loadings ``m``: (len(NAMES), 3)."""
     out = np.zeros((len(NAMES), len(TRAITS)))
@@ -133,6 +135,7 @@ def _least_unusual(rows: list[tuple[int, int, int, float]]) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
+@one_thread
 def trait_coefficients() -> np.ndarray:
     """``gamma``: landmark coefficients per sigma of each trait, (30, 3)."""
     mean = load_population().mean_m * 1e3

@@ -73,10 +73,13 @@ def test_a_stage_that_stays_not_finite_ends_early_and_finite():
     assert int(state["seen"]) < 100
 
 
-def test_ctrl_c_saves_after_the_running_step(tmp_path):
+def test_ctrl_c_saves_after_the_running_step(tmp_path, request):
     checkpoint = Checkpoint(tmp_path / "fit.safetensors", "key")
     stages, whole = problem()
     run_stages(stages, whole, seed=3)
+    # A test runner started in the background has SIGINT ignored.
+    found = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, found))
     before = signal.getsignal(signal.SIGINT)
     stages, state = problem()
 
