@@ -154,9 +154,12 @@ def run(
     if appearance is not None:
         seconds.append(("fit appearance", appearance.seconds))
     else:
-        appearance = stage("fit appearance", fit_appearance, posed, geometry, prior, surface, settings.appearance)
+        partial = Checkpoint(work / "appearance-partial.safetensors", key) if work else None
+        given = (posed, geometry, prior, surface, settings.appearance)
+        appearance = stage("fit appearance", fit_appearance, *given, checkpoint=partial)
         if work:
             keep_appearance(appearance, work, key)
+            partial.path.unlink(missing_ok=True)
     head, light, pose = appearance.head, appearance.light, geometry.canonical_from_world
     shadows = stage("shadows", surface_visibility, surface, light, pose) if appearance.shadowed else None
     mesh = stage("simplify", simplify_mesh, surface, settings.max_triangles)
@@ -177,5 +180,5 @@ def run(
     )
     camera = portrait.camera
     view = stage("render", render_view, head, surface, camera, pose, light, shadows=shadows, device=device)
-    doubts = portrait_doubts(portrait) + geometry_doubts(portrait, geometry, prior, view.hit)
+    doubts = portrait_doubts(portrait) + geometry_doubts(portrait, geometry, prior, view.hit) + appearance.warnings
     return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds))

@@ -76,7 +76,8 @@ class AppearanceLosses:
         step = max(1, len(surface) // config.early_surface)
         self.early = surface.rows(torch.arange(0, len(surface), step, device=device))
         # Which points the present stage draws from, and what they see.
-        self.points, self.table = self.early, None
+        self.points: SurfacePoints = self.early
+        self.table: VisibilityTable | None = None
         self.model = prior.appearance
         self.light = FreeLight(prior)
         # Each lobe's share at all points when last looked at; nothing to keep without shadows.
@@ -98,8 +99,9 @@ class AppearanceLosses:
         return own | (self.shadows.state() | {"held": self.held} if self.shadows is not None else {})
 
     def enter_early(self) -> None:
-        """Draw from some of the points; shadows of a light that may be anywhere."""
-        self._enter(self.early, None if self.shadows is None else self.shadows.early_table(self.early))
+        """Draw from some of the points; shadows of a light that may be anywhere, cast when first asked for."""
+        if self.shadows is not None and self.table is None:
+            self.table = self.shadows.early_table(self.early)
 
     def aim(self) -> None:
         """Turn to the light that was found."""
@@ -108,10 +110,8 @@ class AppearanceLosses:
 
     def enter_aimed(self, points: SurfacePoints) -> None:
         """Draw from these points; shadows of the light that `aim` turned to."""
-        self._enter(points, None if self.shadows is None else self.shadows.aimed_table(points))
-
-    def _enter(self, points: SurfacePoints, table: VisibilityTable | None) -> None:
-        self.points, self.table = points, table
+        self.points = points
+        self.table = None if self.shadows is None else self.shadows.aimed_table(points)
 
     @torch.no_grad()
     def shares(self) -> Tensor | None:
