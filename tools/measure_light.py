@@ -21,6 +21,10 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--picture", type=Path, metavar="PNG", help="write the error maps (some 20 s)")
     out.add_argument("--points", type=int, default=100_000, metavar="N", help="surface points timed (default 100000)")
     out.add_argument("--lobes", type=int, default=32, metavar="M", help="light lobes timed (default 32)")
+    out.add_argument(
+        "--traffic", action="store_true", help="shading against copying its arrays instead"
+    )
+    out.add_argument("--scene", type=Path, metavar="DIR", help="irradiance on a scene's true normals (gt/) as well")
     out.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return out
 
@@ -33,7 +37,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def measure(arguments: argparse.Namespace) -> int:
     """Print errors and costs, and write the picture if asked."""
-    figures = {**irradiance_errors(), **costs(arguments.points, arguments.lobes)}
+    figures = {} if arguments.traffic else {**irradiance_errors(), **costs(arguments.points, arguments.lobes)}
+    if arguments.traffic:
+        figures |= traffic(arguments.points, arguments.lobes)
+    if arguments.scene:
+        figures |= scene_errors(arguments.scene)
     if arguments.json:
         print(json.dumps(figures, indent=1))
     else:
@@ -103,6 +111,64 @@ def costs(points: int, lobes: int) -> dict[str, float]:
 
             figures[f"{name} {grade}, forward, exps per pair"] = seconds(lambda f=function: f(normals)) / unit
             figures[f"{name} {grade}, with gradient, exps per pair"] = seconds(with_gradient) / unit
+    return figures
+
+
+def traffic(points: int, lobes: int) -> dict[str, float]:
+    """CPU time of whole shading on one thread, over that of reading its inputs and writing its outputs once."""
+    import torch
+
+    from sira_assets.render.shading import shade
+
+    torch.set_num_threads(1)
+    generator = torch.Generator().manual_seed(0)
+    random = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
+    unit = lambda x: torch.nn.functional.normalize(x, dim=-1)  # noqa: E731
+    normals, axis = unit(random(points, 3)), unit(random(lobes, 3))
+    view = unit(normals + 0.5 * unit(random(points, 3)))
+    light = axis, torch.exp(2.0 * random(lobes) + 2.0), torch.rand(lobes, 3, generator=generator)
+    albedo, f0 = torch.full((points, 3), 0.5), torch.full((points,), 0.04)
+    read, written = [normals, view, albedo, f0], [torch.empty(points, 3) for _ in range(3)]
+
+    def copy():
+        for source in read:
+            source.clone()
+        for target in written:
+            target.fill_(0.5)
+
+    def with_gradient():
+        leaves = [t.clone().requires_grad_() for t in (normals, albedo, f0)]
+        shade(leaves[0], view, leaves[1], leaves[2], *light).radiance.sum().backward()
+
+    copying = seconds(copy)
+    forward = seconds(lambda: shade(normals, view, albedo, f0, *light), repeats=2)
+    exponentials = seconds(lambda: torch.exp(normals[:, :1].expand(-1, lobes) * light[1]), repeats=2)
+    return {
+        "shading, forward, over copying its arrays": forward / copying,
+        "shading, with gradient, over copying its arrays": seconds(with_gradient, repeats=2) / copying,
+        "one exp per pair, over copying its arrays": exponentials / copying,
+    }
+
+
+def scene_errors(folder: Path) -> dict[str, float]:
+    """Worst pixel of irradiance / pi on true normals against noise-free truth, in per cent of the picture's peak."""
+    import numpy as np
+    import torch
+
+    from sira_assets.numerics.sg import irradiance
+    from sira_assets.scene.image import read_image
+    from sira_assets.scene.sg_light import SGLight
+
+    light = SGLight.from_dict(json.loads((folder / "gt" / "lights.json").read_text()))
+    normals, truth = (read_image(folder / "gt" / f"{name}.exr").linear for name in ("normal", "diffuse_shading"))
+    length = np.linalg.norm(normals, axis=-1)
+    inside = (np.abs(length - 1) < 1e-2) & (truth.sum(-1) > 0)
+    n = torch.tensor(normals[inside] / length[inside][:, None])
+    lobes = tuple(torch.tensor(a, dtype=torch.float32) for a in (light.axis, light.sharpness, light.amplitude))
+    figures = {}
+    for grade in GRADES:
+        error = np.abs(irradiance(n, *lobes, grade=grade).numpy() / np.pi - truth[inside]).max()
+        figures[f"irradiance {grade} on {folder.name}, error % of peak"] = 100.0 * float(error / truth[inside].max())
     return figures
 
 
