@@ -6,7 +6,7 @@ codes scaled by their standard deviations, so that |c|^2 is a squared Mahalanobi
 
 import copy
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -65,6 +65,16 @@ class Prior:
             copy.deepcopy(self.appearance).to(device),
             *(move(getattr(self, name)) for name in CODE_NAMES),
         )
+
+
+def untrained_appearance(prior: Prior, seed: int = 0) -> Prior:
+    """The same shapes with an AF-SM that has learnt nothing: first weights, and codes of mean zero."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        new = AppearanceFactorModel(prior.appearance.config, feature_size=prior.shape.config.feature_size)
+    blank = lambda statistics: replace(statistics, mean=torch.zeros_like(statistics.mean))  # noqa: E731
+    z_a, z_s, z_l = blank(prior.z_a), blank(prior.z_s), blank(prior.z_l)
+    return replace(prior, appearance=freeze(new.to(z_a.mean.device)), z_a=z_a, z_s=z_s, z_l=z_l)
 
 
 def save_prior(prior: Prior, path: Path, description: dict) -> None:

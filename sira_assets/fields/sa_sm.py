@@ -16,7 +16,14 @@ from sira_assets.fields.mlp import MLP, encode, encoded_size, with_code
 
 @dataclass(frozen=True)
 class ShapeConfig:
-    """Sizes of SA-SM, chosen for two CPU cores (a step of 8k points in a few tenths of a second)."""
+    """Sizes of SA-SM, chosen for two CPU cores (a step of 8k points in a few tenths of a second).
+
+    Parameters
+    ----------
+    reference : False leaves the reference out: the first network maps (x, z_sdf) to f_sdf and gamma themselves, and
+        x_ref = x (the paper's ablation, and H3D-Net's model)
+    joint_appearance : False trains shapes without the renderer; a fit then begins with an untrained one
+    """
 
     code_size: int = 64
     appearance_code_size: int = 64
@@ -30,6 +37,8 @@ class ShapeConfig:
     renderer_width: int = 128
     renderer_depth: int = 3
     renderer_octaves: int = 5
+    reference: bool = True
+    joint_appearance: bool = True
 
 
 class ShapeAppearanceModel(nn.Module):
@@ -41,13 +50,16 @@ class ShapeAppearanceModel(nn.Module):
         c = config
         self.deformation = MLP(
             encoded_size(3, c.deformation_octaves) + c.code_size,
-            3 + c.feature_size,
+            (3 if c.reference else 1) + c.feature_size,
             width=c.deformation_width,
             depth=c.deformation_depth,
         )
-        # Heads start undeformed: the reference is what they have in common.
-        nn.init.normal_(self.deformation.out.weight, std=1e-3)
-        self.reference = MLP(encoded_size(3, c.reference_octaves), 1, width=c.reference_width, depth=c.reference_depth)
+        self.reference = None
+        if c.reference:
+            # Heads start undeformed: the reference is what they have in common.
+            nn.init.normal_(self.deformation.out.weight, std=1e-3)
+            sizes = {"width": c.reference_width, "depth": c.reference_depth}
+            self.reference = MLP(encoded_size(3, c.reference_octaves), 1, **sizes)
         self.renderer = MLP(
             encoded_size(3, c.renderer_octaves) + 3 + 3 + c.feature_size + c.appearance_code_size,
             3,
@@ -58,19 +70,21 @@ class ShapeAppearanceModel(nn.Module):
     def deform(
         self, x: Float[Tensor, "N 3"], z_sdf: Float[Tensor, "..."]
     ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N G"]]:
-        """delta and gamma at x."""
+        """delta and gamma at x; without a reference delta is zero."""
         out = self.deformation(with_code(encode(x, self.config.deformation_octaves), z_sdf))
-        return out[:, :3], out[:, 3:]
+        return (out[:, :3], out[:, 3:]) if self.config.reference else (torch.zeros_like(x), out[:, 1:])
 
     def reference_sdf(self, x_ref: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
         """f_ref: the signed distance all heads share, network units; a ball of one unit before training."""
-        out = self.reference(encode(x_ref, self.config.reference_octaves))[:, 0]
-        return out + torch.sqrt((x_ref**2).sum(-1) + 1e-6) - 1.0
+        return self.reference(encode(x_ref, self.config.reference_octaves))[:, 0] + _ball(x_ref)
 
     def forward(
         self, x: Float[Tensor, "N 3"], z_sdf: Float[Tensor, "..."]
     ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"], Float[Tensor, "N G"]]:
         """f_sdf(x), x_ref and gamma."""
+        if not self.config.reference:
+            out = self.deformation(with_code(encode(x, self.config.deformation_octaves), z_sdf))
+            return out[:, 0] + _ball(x), x, out[:, 1:]
         delta, gamma = self.deform(x, z_sdf)
         x_ref = x + delta
         return self.reference_sdf(x_ref), x_ref, gamma
@@ -86,6 +100,11 @@ class ShapeAppearanceModel(nn.Module):
         """r: sRGB-encoded colour in (0, 1); `view` points from the surface to the camera."""
         inputs = torch.cat([encode(x_ref, self.config.renderer_octaves), normals, view, gamma], -1)
         return torch.sigmoid(self.renderer(with_code(inputs, z_r)))
+
+
+def _ball(x: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+    """Signed distance of a ball of one unit, differentiable at its centre: where networks start from."""
+    return torch.sqrt((x**2).sum(-1) + 1e-6) - 1.0
 
 
 def sdf_and_gradient(

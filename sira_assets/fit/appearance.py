@@ -79,14 +79,16 @@ def fit_appearance(
     fit = AppearanceLosses(c, prior, surface, hidden_surface(geometry, surface, generator), shadows)
     record = run_stages(_stages(fit, c), fit.state(), seed=c.seed, device=device, checkpoint=checkpoint, report=report)
     freeze(fit.refinement)
+    if not c.scheduled:
+        freeze(fit.model)
     with torch.no_grad():
         head = FittedHead(
             geometry.shape,
-            prior.appearance,
+            fit.model,
             geometry.z_sdf,
             prior.z_a.code(fit.z_a).detach(),
             prior.z_s.code(fit.z_s).detach(),
-            fit.refinement if c.steps_refinement else None,
+            fit.refinement if c.steps_refinement and c.scheduled else None,
             1.0 if c.steps_specular else 0.0,
         )
         evidence = Evidence.of(fit.points, fit.light.lobes(), fit.shares())
@@ -138,6 +140,11 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
     slow = 0.3 * c.rate_light
     codes = [fit.z_a, fit.z_s]
     refined = [(light, slow), ([fit.z_s], c.rate_codes), (list(fit.refinement.parameters()), c.rate_refinement)]
+    if not c.scheduled:
+        steps = c.steps_light + c.steps_albedo + c.steps_specular + c.steps_refinement
+        decoders = [*fit.model.albedo.parameters(), *fit.model.specular.parameters()]
+        groups = [(light, c.rate_light), (codes, c.rate_codes), (decoders, c.rate_refinement)]
+        return [stage("all at once", steps, groups, lambda step: 1.0)]
     ramp = lambda step: (step + 1) / c.steps_specular  # noqa: E731
     k_s = lambda step: 1.0 if c.steps_specular else 0.0  # noqa: E731
     return [

@@ -5,12 +5,14 @@ L_reg = mean |a_refine| w with w = l8 max(0, |a_base|_1 - |r_d,base|_1) + l9 |r_
 and in highlights, so that neither is baked into the albedo.
 """
 
+import copy
 import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from sira_assets.fields.af_sm import AppearanceFactorModel
 from sira_assets.fields.fitted import AlbedoRefinement, RefinementConfig
 from sira_assets.fields.prior import Prior
 from sira_assets.fit.light import FreeLight
@@ -29,6 +31,8 @@ class AppearanceFitConfig:
     ----------
     max_surface : seen points that the refinement learns from; all other stages make do with `early_surface` of them
     shadows : whether the head casts shadows on itself
+    scheduled : False learns light, codes and the decoders' own weights all at once, with k_s = 1 and no refinement, in
+        as many steps: what is left where there is no trained prior (the paper's ablation)
     """
 
     steps_light: int = 150
@@ -48,6 +52,7 @@ class AppearanceFitConfig:
     regularity: float = 0.05
     unseen: float = 0.5
     shadows: bool = True
+    scheduled: bool = True
     rays: ShadowConfig = ShadowConfig()
     refinement: RefinementConfig = RefinementConfig()
     seed: int = 0
@@ -78,7 +83,7 @@ class AppearanceLosses:
         # Which points the present stage draws from, and what they see.
         self.points: SurfacePoints = self.early
         self.table: VisibilityTable | None = None
-        self.model = prior.appearance
+        self.model = prior.appearance if config.scheduled else opened(prior.appearance)
         self.light = FreeLight(prior)
         # Each lobe's share at all points when last looked at; nothing to keep without shadows.
         self.held = torch.ones(len(surface) if shadows is not None else 0, len(self.light.log_sharpness), device=device)
@@ -96,6 +101,8 @@ class AppearanceLosses:
         names = ("axis", "log_sharpness", "log_amplitude")
         own = {name: getattr(self.light, name) for name in names} | {"z_a": self.z_a, "z_s": self.z_s}
         own |= {f"refinement.{key}": value for key, value in self.refinement.state_dict().items()}
+        if not self.config.scheduled:
+            own |= {f"model.{key}": value for key, value in self.model.state_dict().items()}
         return own | (self.shadows.state() | {"held": self.held} if self.shadows is not None else {})
 
     def enter_early(self) -> None:
@@ -176,6 +183,14 @@ class AppearanceLosses:
         shading: Shading = shade(surface.normals, surface.view, albedo, none, *lobes, roughness=ROUGHNESS)
         gain = srgb_decode(surface.rays.rgb).mean() / shading.radiance.mean().clamp_min(1e-6)
         self.light.scale(float(gain))
+
+
+def opened(model: AppearanceFactorModel) -> AppearanceFactorModel:
+    """A copy whose albedo and specular decoders may learn."""
+    model = copy.deepcopy(model)
+    for decoder in (model.albedo, model.specular):
+        decoder.requires_grad_(True)
+    return model
 
 
 def colour_error(radiance: Tensor, points: SurfacePoints) -> Tensor:

@@ -81,10 +81,12 @@ def fit_geometry(
         pose = [([fit.pose.rotation, fit.pose.translation], c.rate_pose)] if portrait.pose_is_estimated else []
         return [([fit.coefficients], rate), *pose]
 
-    appearance = [fit.appearance]
-    settle = stage("appearance code", c.steps_appearance, [(appearance, c.rate_appearance_codes)], geometry=False)
-    codes_groups = [*shape_groups(c.rate_codes), (appearance, 0.5 * c.rate_appearance_codes)]
-    codes = stage("codes", c.steps_codes, codes_groups)
+    appearance, renderer = [fit.appearance], fit.new_renderer()
+    learnt = [(renderer, c.rate_new_renderer)] if renderer else []
+    settle_groups = [(appearance, c.rate_appearance_codes), *learnt]
+    settle = stage("appearance code", c.steps_appearance, settle_groups, geometry=False, enter=fit.open_new_renderer)
+    codes_groups = [*shape_groups(c.rate_codes), (appearance, 0.5 * c.rate_appearance_codes), *learnt]
+    codes = stage("codes", c.steps_codes, codes_groups, enter=fit.open_new_renderer)
     networks_groups = [
         *shape_groups(0.1 * c.rate_codes),
         (appearance, 0.1 * c.rate_appearance_codes),

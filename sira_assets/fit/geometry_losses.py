@@ -42,6 +42,8 @@ class GeometryFitConfig:
     rate_appearance_codes: float = 0.08
     rate_pose: float = 0.004
     rate_networks: float = 1.5e-4
+    # Of a renderer that the prior has not trained (ShapeConfig.joint_appearance): as in training.
+    rate_new_renderer: float = 1.0e-3
     colour: float = 1.0
     silhouette: float = 0.5
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
@@ -102,6 +104,15 @@ class GeometryLosses:
         """Deformation and renderer: never the reference."""
         return [*self.model.deformation.parameters(), *self.model.renderer.parameters()]
 
+    def new_renderer(self) -> list[nn.Parameter]:
+        """The renderer where the prior has not trained it: it learns from the first step. Else nothing."""
+        return [] if self.model.config.joint_appearance else list(self.model.renderer.parameters())
+
+    def open_new_renderer(self) -> None:
+        """Let gradients reach an untrained renderer."""
+        for parameter in self.new_renderer():
+            parameter.requires_grad_(True)
+
     def open_networks(self) -> None:
         """Let gradients reach the networks, and their anchor."""
         self.networks_open = True
@@ -149,7 +160,8 @@ class GeometryLosses:
         x = differentiable_hit(x0, directions, f, gradient)
         on = (f.detach().abs() < c.lost).float()
         with torch.no_grad():
-            self.inside.t[chosen] += ((x - x0) * directions).sum(-1).clamp(-c.lost, c.lost)
+            # A step that is not finite is taken back; its rays must stay where they were.
+            self.inside.t[chosen] += ((x - x0) * directions).sum(-1).nan_to_num(0.0).clamp(-c.lost, c.lost)
         delta, gamma = self.model.deform(x, z_sdf)
         colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {

@@ -105,9 +105,12 @@ def _terms(
     true_normals = torch.cat([pixel_normals, surface_normals])
 
     seen = len(pixels)
-    # The renderer sees the model's own normals, as in the fit, but does not shape the surface through them here.
-    z_r = batch.codes(codes.z_r, c.pixels)
-    colour = model.render(x_ref[:seen], normals[:seen].detach(), view, gamma[:seen], z_r)
+    colour = {}
+    if model.config.joint_appearance:
+        # The renderer sees the model's own normals, as in the fit, but does not shape the surface through them here.
+        z_r = batch.codes(codes.z_r, c.pixels)
+        rendered = model.render(x_ref[:seen], normals[:seen].detach(), view, gamma[:seen], z_r)
+        colour["colour"] = (rendered - srgb_encode(rgb)).abs().mean()
 
     loose, loose_sdf = batch.draw((data.volume, data.volume_sdf), c.volume_no_gradient)
     loose_prediction, _, _ = model(loose, batch.codes(codes.z_sdf, c.volume_no_gradient))
@@ -125,10 +128,10 @@ def _terms(
         "deformation": delta.norm(dim=-1).mean() + share.mean(delta.mean(0)).norm(),
         # Mean over pairs i != j of |a_i - a_j|^2 is 2 B / (B - 1) times the spread about the batch mean.
         "landmark": 2.0 * count / max(count - 1, 1) * _spread(anchors + anchor_delta, known, share),
-        "colour": (colour - srgb_encode(rgb)).abs().mean(),
         "embedding": sum(batch.codes(table).square().sum(-1).mean() for table in (codes.z_sdf, codes.z_r)),
         "sdf": (prediction.clamp(-c.clamp, c.clamp) - truth.clamp(-c.clamp, c.clamp)).abs().mean(),
         "normal": (1.0 - (normals[:on] * true_normals).sum(-1)).mean(),
+        **colour,
     }
 
 
@@ -170,7 +173,7 @@ def train_shape(
     trainee = Trainee(model, {"z_sdf": codes.z_sdf, "z_r": codes.z_r}, config.rate, config.code_rate)
 
     def hold_deformation(step: int) -> None:
-        if step < config.reference_steps:
+        if step < config.reference_steps and model_config.reference:
             for parameter in (*model.deformation.parameters(), codes.z_sdf):
                 parameter.grad = None
 

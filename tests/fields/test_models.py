@@ -1,5 +1,7 @@
 """SA-SM, AF-SM, the prior file and the fitted head: shapes of functions, gradients, round trips."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -68,6 +70,25 @@ def test_reference_distance_sees_the_code_only_through_the_deformation():
         torch.testing.assert_close(sdf, model.reference_sdf(x_ref))
 
 
+def test_without_a_reference_the_code_reaches_the_distance_and_nothing_moves():
+    torch.manual_seed(0)
+    model = ShapeAppearanceModel(replace(SMALL, reference=False)).double()
+    x, (a, b) = torch.randn(10, 3, dtype=torch.float64), torch.randn(2, 6, dtype=torch.float64)
+    sdf, x_ref, gamma = model(x, a)
+    delta, same_gamma = model.deform(x, a)
+    torch.testing.assert_close(x_ref, x, rtol=0, atol=0)
+    assert (delta == 0).all()
+    torch.testing.assert_close(gamma, same_gamma, rtol=0, atol=0)
+    assert gamma.shape == (10, 3)
+    assert (model(x, b)[0] != sdf).all()
+    assert not any(name.startswith("reference.") for name in model.state_dict())
+    _, gradient, _, _ = sdf_and_gradient(model, x, a, differentiable=False)
+    h = 1e-5
+    difference = (model(x + h * x, a)[0] - model(x - h * x, a)[0]) / (2 * h)
+    # along x itself; central differences are off by a sixth of h^2 times the third derivative
+    torch.testing.assert_close((gradient * x).sum(-1), difference, atol=1e-6, rtol=1e-5)
+
+
 def test_material_decoders_stay_in_their_ranges():
     torch.manual_seed(0)
     model = AppearanceFactorModel(SMALL_APPEARANCE, feature_size=3)
@@ -99,14 +120,16 @@ def test_code_statistics_are_those_of_the_codes():
     assert low.basis.shape == (3, 1)
 
 
-def test_prior_survives_its_file(tmp_path):
-    prior = small_prior()
+@pytest.mark.parametrize("config", [SMALL, replace(SMALL, reference=False, joint_appearance=False)])
+def test_prior_survives_its_file(tmp_path, config):
+    prior = replace(small_prior(), shape=ShapeAppearanceModel(config))
     save_prior(prior, tmp_path / "p.safetensors", {"note": "test"})
     back = load_prior(tmp_path / "p.safetensors")
     x, z = torch.randn(20, 3), torch.randn(6)
     torch.testing.assert_close(back.shape(x, z)[0], prior.shape(x, z)[0], rtol=0, atol=0)
     for name in CODE_NAMES:
         torch.testing.assert_close(getattr(back, name).basis, getattr(prior, name).basis, rtol=0, atol=0)
+    assert back.shape.config == config
     assert not any(p.requires_grad for p in back.shape.parameters())
 
 

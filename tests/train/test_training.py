@@ -104,6 +104,24 @@ def test_training_brings_the_losses_down(spheres, tmp_path):
     assert last["colour"] < first["colour"].item()
 
 
+@pytest.mark.parametrize("reference", [True, False])
+def test_shapes_alone_are_learnt_without_the_renderer(spheres, tmp_path, reference):
+    """The renderer stays what it was, the surface is learnt."""
+    model_config = replace(MODEL, reference=reference, joint_appearance=False)
+    config = replace(SHORT, steps=220, reference_steps=20)
+    torch.manual_seed(config.seed)
+    start = ShapeAppearanceModel(model_config)
+    first = shape_losses(start, new_codes(4, model_config, 0), spheres, config, 0)
+    assert "colour" not in first
+    last = {}
+    model, *_ = train_shape(
+        spheres, tmp_path, model_config=model_config, config=config, report=lambda step, losses: last.update(losses)
+    )
+    for a, b in zip(start.renderer.parameters(), model.renderer.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+    assert last["surface"] < 0.7 * first["surface"].item()
+
+
 def test_a_resumed_training_is_the_same_training(spheres, tmp_path):
     whole, *_ = train_shape(spheres, tmp_path / "a", model_config=MODEL, config=SHORT)
 
