@@ -3,7 +3,7 @@
 python tools/make_scenes.py --count 240 --truth train --out scenes
 python tools/train_prior.py --scenes scenes --out prior.safetensors --run runs/prior
 
-Two processes, sharing every step: torchrun --nproc-per-node=2 tools/train_prior.py ...
+Two processes, sharing every step: torchrun --nproc-per-node=2 -- tools/train_prior.py ...
 """
 
 import argparse

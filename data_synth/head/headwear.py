@@ -89,11 +89,11 @@ def headwear_field_mm(x_mm: np.ndarray, params: HeadParams, d_mm: np.ndarray) ->
 
 
 def under_headwear(h_mm: np.ndarray, g_mm: np.ndarray, x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
-    """The hair's field, pressed at least 2 mm below the headwear where that lies."""
+    """The hair's field, pressed at least 2 mm below the headwear where that lies; none at all (+inf) stays none."""
     kind = params.dress.headwear
     if kind == "none":
         return h_mm
-    return h_mm + headwear_zone(x_mm, kind) * (np.maximum(h_mm, g_mm + 2.0) - h_mm)
+    return h_mm + headwear_zone(x_mm, kind) * np.maximum(g_mm + 2.0 - h_mm, 0.0)
 
 
 def headwear_colour(x_mm: np.ndarray, params: HeadParams) -> np.ndarray:
