@@ -12,6 +12,7 @@ MAGIC, VERSION = 0x46546C67, 2
 CHUNK_JSON, CHUNK_BIN = 0x4E4F534A, 0x004E4942
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125
+INTEGER_TYPES = {np.dtype(np.int8): 5120, np.dtype(np.int16): 5122, np.dtype(np.uint16): UNSIGNED_SHORT}
 VECTOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 # The largest value of an index type restarts primitives, so 65535 vertices (indices to 65534) are the most for 16 bits.
 MAX_VERTICES_16_BIT = 65535
@@ -58,6 +59,31 @@ class GlbFile:
         self._accessors.append(accessor)
         return len(self._accessors) - 1
 
+    def add_codes(self, codes: np.ndarray, *, bounds: bool = False) -> int:
+        """Append (N, k) int8, int16 or uint16 vertex data that stands for fractions; returns the accessor's index.
+
+        Each vertex is padded to a multiple of four bytes, which KHR_mesh_quantization demands.
+        """
+        count, width = codes.shape
+        stride = codes.dtype.itemsize * width
+        stride += -stride % 4
+        padded = np.zeros((count, stride // codes.dtype.itemsize), codes.dtype)
+        padded[:, :width] = codes
+        view = self.add_view(padded.tobytes(), ARRAY_BUFFER)
+        self._views[view]["byteStride"] = stride
+        accessor = {
+            "bufferView": view,
+            "componentType": INTEGER_TYPES[codes.dtype],
+            "normalized": True,
+            "count": count,
+            "type": VECTOR_TYPES[width],
+        }
+        if bounds:
+            accessor["min"] = codes.min(0).tolist()
+            accessor["max"] = codes.max(0).tolist()
+        self._accessors.append(accessor)
+        return len(self._accessors) - 1
+
     def add_indices(self, faces: np.ndarray, vertex_count: int) -> int:
         """Append (F, 3) triangle indices in the smallest type that holds them; returns the accessor's index."""
         small = vertex_count <= MAX_VERTICES_16_BIT
@@ -71,9 +97,9 @@ class GlbFile:
         self._accessors.append(accessor)
         return len(self._accessors) - 1
 
-    def add_texture(self, png: bytes, name: str) -> int:
-        """Append a PNG; returns the texture's index (one texture for each image, one sampler for all)."""
-        self._images.append({"name": name, "mimeType": "image/png", "bufferView": self.add_view(png)})
+    def add_texture(self, picture: bytes, name: str, mime: str = "image/png") -> int:
+        """Append a PNG or JPEG; returns the texture's index (one texture for each image, one sampler for all)."""
+        self._images.append({"name": name, "mimeType": mime, "bufferView": self.add_view(picture)})
         return len(self._images) - 1
 
     def to_bytes(self, document: dict) -> bytes:

@@ -13,7 +13,7 @@ def encode_png(texels: np.ndarray, text: Mapping[str, str] | None = None) -> byt
 
     Parameters
     ----------
-    texels : (H, W) or (H, W, 3) uint8, row 0 on top
+    texels : (H, W), (H, W, 3) or (H, W, 4) uint8, row 0 on top
     text : tEXt entries, Latin-1
 
     Raises
@@ -26,8 +26,8 @@ def encode_png(texels: np.ndarray, text: Mapping[str, str] | None = None) -> byt
     texels = np.ascontiguousarray(texels)
     if texels.dtype != np.uint8:
         raise TypeError(f"texels must be uint8, not {texels.dtype}")
-    if texels.ndim not in (2, 3) or (texels.ndim == 3 and texels.shape[2] != 3):
-        raise ValueError(f"texels must be (H, W) or (H, W, 3), not {texels.shape}")
+    if texels.ndim not in (2, 3) or (texels.ndim == 3 and texels.shape[2] not in (3, 4)):
+        raise ValueError(f"texels must be (H, W), (H, W, 3) or (H, W, 4), not {texels.shape}")
     info = PngInfo()
     for key, value in (text or {}).items():
         info.add_text(key, value)

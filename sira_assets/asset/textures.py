@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets.asset.encoding import encode_ks, encode_normal, encode_srgb
+from sira_assets.asset.exr_header import colour_header, data_header
 from sira_assets.asset.png import encode_png
 from sira_assets.atomic import write_bytes
 from sira_assets.scene.image import write_exr
@@ -58,9 +59,12 @@ def write_textures(textures: TextureSet, folder: str | Path) -> TextureFiles:
         ),
     ):
         write_bytes(path, encode_png(texels, {"Description": description}))
-    write_exr(files.specular_exr, np.ascontiguousarray(textures.specular_f0, np.float32))
-    write_exr(files.normal_exr, np.ascontiguousarray(textures.normal_tangent, np.float32))
-    write_exr(files.irradiance_exr, np.ascontiguousarray(textures.irradiance, np.float32))
+    for path, values, header in (
+        (files.specular_exr, textures.specular_f0, data_header("specular albedo F0, unitless")),
+        (files.normal_exr, textures.normal_tangent, data_header("unit normal in the tangent frame, R G B = x y z")),
+        (files.irradiance_exr, textures.irradiance, colour_header("irradiance of the estimated light")),
+    ):
+        write_exr(path, np.ascontiguousarray(values, np.float32), header=header)
     return files
 
 
