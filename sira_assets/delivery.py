@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets import __version__
+from sira_assets.asset.exr_header import colour_header
 from sira_assets.asset.textures import irradiance_white
 from sira_assets.asset.write_avatar import write_avatar
 from sira_assets.atomic import replacing_folder
@@ -29,10 +30,15 @@ FILES = (
     ("avatar.obj", "the same as OBJ and MTL, with textures/"),
     ("textures", "diffuse, specular, normal and irradiance maps"),
     ("lights.json", "the spherical gaussians that lit the photo"),
-    ("envmap.exr", "the same light as a lat-long panorama"),
+    ("envmap.exr", "the same light as a lat-long panorama; also as .hdr"),
+    ("sh.json", "the same light as spherical harmonics of bands 0 to 2"),
     ("field.safetensors", "the fitted neural field"),
     ("renders", "what the input camera sees; final.exr is linear radiance"),
     ("report.json", "figures, decisions and settings"),
+)
+USD_FILES = (
+    ("avatar.usdc", "the same as USD, with textures/"),
+    ("avatar.usdz", "the same as one package"),
 )
 
 
@@ -74,7 +80,7 @@ def check_target(folder: Path, *, overwrite: bool, marker: str = "report.json", 
 def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
     """Write everything a run made into `folder`, whole or not at all, and give its report."""
     with replacing_folder(folder) as fresh:
-        write_avatar(journey.avatar, fresh)
+        write_avatar(journey.avatar, fresh, settings.export)
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
         portrait = journey.portrait
         # As the field was seen, with shadows or without: the figures of file and field then differ by the file alone.
@@ -83,7 +89,8 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
         pictures = _pictures(journey, exported)
         for name, pixels in pictures.items():
             write_png(fresh / "renders" / f"{name}.png", pixels)
-        write_exr(fresh / "renders" / "final.exr", journey.view.final)
+        said = colour_header("radiance of the fitted field at the portrait's camera")
+        write_exr(fresh / "renders" / "final.exr", journey.view.final, header=said)
         report = _report(journey, settings, pictures, exported)
         write_report_json(report, fresh / "report.json")
         write_report_html(report, fresh / "report.html")
@@ -168,7 +175,7 @@ def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray
         version=__version__,
         seed=settings.seed,
         metres_per_unit=portrait.metres_per_unit,
-        files=FILES,
+        files=(*FILES, *(USD_FILES if settings.export.usd else ())),
     )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets.asset.avatar import Avatar
+from sira_assets.asset.export_config import ExportConfig
 from sira_assets.errors import InputError
 from sira_assets.fields.prior import Prior, load_prior
 from sira_assets.fit.appearance import AppearanceFit, fit_appearance, unlit_head
@@ -43,6 +44,7 @@ class Settings:
     max_triangles: int = 30000
     unwrap: UnwrapConfig = UnwrapConfig()
     bake: BakeConfig = BakeConfig()
+    export: ExportConfig = ExportConfig()
     seed: int = 0
 
 

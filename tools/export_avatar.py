@@ -31,6 +31,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--texture-size", type=int, help="texels a side, 64 to 8192")
     p.add_argument("--max-triangles", type=int, help="at least 100")
     p.add_argument("--no-shadows", dest="shadows", action="store_false", help="light without the head's cast shadows")
+    p.add_argument("--specular-form", choices=["color", "factor"], default="color", help="where the GLB keeps F0")
+    p.add_argument("--quantize", action="store_true", help="GLB geometry as integers: half the size, 0.01 mm steps")
+    p.add_argument("--jpeg", type=int, metavar="QUALITY", help="GLB pictures as JPEG, 1 to 100 (default: PNG)")
+    p.add_argument("--usd", action="store_true", help="write avatar.usdc and .usdz too (extra usd)")
     p.add_argument("--prior", type=Path, help="trained models (default: the ones that ship with the package)")
     p.add_argument("--resume", action="store_true", help="go on from the last finished fit of a stopped run")
     p.add_argument("--overwrite", action="store_true", help="replace what --out holds")
@@ -43,6 +47,7 @@ def body(args: argparse.Namespace) -> int:
     """Read, fit, export."""
     import json
     import shutil
+    from dataclasses import replace
 
     from sira_assets.scene.bundled import bundled_portrait
     from sira_assets.scene.read_scene import read_scene
@@ -56,6 +61,8 @@ def body(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+    from sira_assets.asset.export_config import ExportConfig
+    from sira_assets.asset.usd import check_usd
     from sira_assets.delivery import check_target, deliver
     from sira_assets.fields.prior import load_prior
     from sira_assets.measure.report import report_dict
@@ -69,6 +76,10 @@ def body(args: argparse.Namespace) -> int:
         shadows=args.shadows,
         seed=args.seed,
     )
+    export = ExportConfig(args.specular_form, quantise=args.quantize, jpeg_quality=args.jpeg, usd=args.usd)
+    settings = replace(settings, export=export)
+    if args.usd:
+        check_usd()
     check_target(args.out, overwrite=args.overwrite)
     prior = load_prior(args.prior)
     args.out = args.out.resolve()

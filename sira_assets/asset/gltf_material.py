@@ -37,6 +37,13 @@ def gltf_material(avatar: Avatar, file: GlbFile, config: ExportConfig) -> dict:
         said = "tangent-space normal (n + 1) / 2, linear, +Y up"
         material["normalTexture"] = _texture(file, normal, "normal", said, config)
 
+    if maps.occlusion is not None:
+        # Red is read; three equal channels look like what they are in any viewer. Open everywhere says nothing.
+        codes = quantised(maps.occlusion)
+        if not (codes[used] == 255).all():
+            rgb = np.repeat(codes[..., None], 3, -1)
+            material["occlusionTexture"] = _texture(file, rgb, "occlusion", "share of open sky, linear", config)
+
     form = _colour_form if config.specular_form == "color" else _factor_form
     material["extensions"] = {"KHR_materials_specular": form(maps.specular_f0, used, file, config)}
     return material

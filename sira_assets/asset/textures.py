@@ -1,11 +1,11 @@
 """Write the baked maps as files of their own; docs/formats.md says what each holds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sira_assets.asset.encoding import encode_ks, encode_normal, encode_srgb
+from sira_assets.asset.encoding import encode_ks, encode_normal, encode_srgb, quantised
 from sira_assets.asset.exr_header import colour_header, data_header
 from sira_assets.asset.png import encode_png
 from sira_assets.atomic import write_bytes
@@ -24,13 +24,15 @@ class TextureFiles:
     normal_exr: Path
     irradiance: Path
     irradiance_exr: Path
+    occlusion: Path | None = None
 
 
 def write_textures(textures: TextureSet, folder: str | Path) -> TextureFiles:
     """Write diffuse, specular, normal and irradiance as PNG, and as EXR where eight bits are too few.
 
     PNG: diffuse sRGB(a); specular ks = s / 0.04 on a linear scale 0..2; normal (n + 1) / 2, +Y up; irradiance
-    sRGB(E / E_white), for looking at, with E_white in the metadata. EXR: specular F0, normal and irradiance in float32.
+    sRGB(E / E_white), for looking at, with E_white in the metadata; occlusion, if it was baked, linear. EXR: specular
+    F0, normal and irradiance in float32.
 
     Parameters
     ----------
@@ -59,6 +61,10 @@ def write_textures(textures: TextureSet, folder: str | Path) -> TextureFiles:
         ),
     ):
         write_bytes(path, encode_png(texels, {"Description": description}))
+    if textures.occlusion is not None:
+        files = replace(files, occlusion=folder / "occlusion.png")
+        text = {"Description": "share of the sky that the head leaves open, linear"}
+        write_bytes(files.occlusion, encode_png(quantised(textures.occlusion), text))
     for path, values, header in (
         (files.specular_exr, textures.specular_f0, data_header("specular albedo F0, unitless")),
         (files.normal_exr, textures.normal_tangent, data_header("unit normal in the tangent frame, R G B = x y z")),

@@ -22,6 +22,8 @@ class TextureSet:
     normal_tangent : (S, S, 3) float32 unit, in the frame of `texture.tangents` (glTF's: +X along u, +Y along v)
     irradiance : (S, S, 3) float32 linear irradiance of the SG light, under the shadows that the bake was given
     coverage : (S, S) bool, texels that some triangle touches
+    occlusion : (S, S) float32 in [0, 1], share of the sky that nothing of the head hides, weighted by the cosine; None
+        where it was not baked
     """
 
     diffuse: np.ndarray
@@ -29,6 +31,7 @@ class TextureSet:
     normal_tangent: np.ndarray
     irradiance: np.ndarray
     coverage: np.ndarray
+    occlusion: np.ndarray | None = None
 
     def __post_init__(self):
         size = self.coverage.shape[0]
@@ -38,6 +41,7 @@ class TextureSet:
             "normal_tangent": (size, size, 3),
             "irradiance": (size, size, 3),
             "coverage": (size, size),
+            **({} if self.occlusion is None else {"occlusion": (size, size)}),
         }
         for name, shape in expected.items():
             array = getattr(self, name)

@@ -1,5 +1,7 @@
 """A textured head in miniature: a welded sphere with a seam, smooth maps, two lobes of light, a world of its own."""
 
+import dataclasses
+
 import numpy as np
 
 from sira_assets.asset.avatar import Avatar
@@ -60,6 +62,12 @@ def smooth_maps(size: int = SIZE) -> TextureSet:
         irradiance=np.stack([4 * v, 2 * u, u * v], -1).astype(np.float32),
         coverage=np.ones((size, size), bool),
     )
+
+
+def shaded_maps(size: int = SIZE) -> TextureSet:
+    """The smooth maps with an occlusion map: dark below, open above."""
+    v = 1 - np.repeat(((np.arange(size) + 0.5) / size)[:, None], size, 1)
+    return dataclasses.replace(smooth_maps(size), occlusion=(0.25 + 0.75 * v).astype(np.float32))
 
 
 def flat_maps(size: int = 8) -> TextureSet:

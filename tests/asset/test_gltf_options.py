@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from glb_reader import read_glb as read_strictly
 from PIL import Image
-from sample_avatar import avatar_of, flat_maps, smooth_maps
+from sample_avatar import avatar_of, flat_maps, shaded_maps, smooth_maps
 
 from sira_assets.asset.encoding import decode_normal, encode_normal, encode_srgb
 from sira_assets.asset.export_config import ExportConfig
 from sira_assets.asset.gltf import glb_bytes, write_glb
 from sira_assets.asset.jpeg import encode_jpeg
 from sira_assets.asset.quantise import quantise_positions, quantise_signed, quantise_uv
+from sira_assets.asset.textures import write_textures
 from sira_assets.errors import InputError
 from sira_assets.relight.glb_model import GlbModel, read_glb
 from sira_assets.relight.surface import mesh_of, surface_at
@@ -138,3 +139,18 @@ def test_every_choice_gives_the_same_bytes_twice(config):
 def test_other_choices_are_refused(choice):
     with pytest.raises(InputError):
         ExportConfig(**choice)
+
+
+def test_occlusion_is_the_red_of_its_own_linear_picture(tmp_path):
+    avatar = avatar_of(shaded_maps())
+    glb = read_strictly(glb_bytes(avatar))
+    assert glb.texels(glb.material["occlusionTexture"])[..., 0] / 255 == pytest.approx(
+        avatar.textures.occlusion, abs=0.5 / 255 + 1e-7
+    )
+    files = write_textures(avatar.textures, tmp_path)
+    with Image.open(files.occlusion) as picture:
+        assert np.array(picture) / 255 == pytest.approx(avatar.textures.occlusion, abs=0.5 / 255 + 1e-7)
+    open_sky = dataclasses.replace(avatar.textures, occlusion=np.ones((64, 64), np.float32))
+    for maps in (open_sky, smooth_maps()):
+        assert "occlusionTexture" not in read_strictly(glb_bytes(avatar_of(maps))).material
+    assert write_textures(smooth_maps(), tmp_path / "none").occlusion is None
