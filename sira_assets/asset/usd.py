@@ -2,7 +2,8 @@
 
 UsdPreviewSurface's specular workflow takes F0 itself (specularColor) with F90 = 1, as the fitted model has it;
 specular.png holds F0 = 0.08 c / 255, so a scale of 0.08 on the reader says it exactly. Programs that know the metallic
-workflow only find metallic 0 and an index of refraction of 1.5. UVs have their origin at the bottom left, as here.
+workflow only find metallic 0 and the index of refraction of the mean F0. UVs have their origin at the bottom left, as
+here.
 
 Needs usd-core (extra `usd`), imported when a file is written. Source: "UsdPreviewSurface Specification", version 2.6,
 and "USDZ File Format Specification", both openusd.org.
@@ -137,7 +138,7 @@ def _preview_surface(stage, material, avatar: Avatar, textures: str) -> None:
     surface.CreateInput("useSpecularWorkflow", types.Int).Set(1)
     surface.CreateInput("metallic", types.Float).Set(0.0)
     surface.CreateInput("roughness", types.Float).Set(float(avatar.roughness))
-    surface.CreateInput("ior", types.Float).Set(1.5)
+    surface.CreateInput("ior", types.Float).Set(_index_of_refraction(avatar))
 
     def texture(
         name: str, space: str, target: str, kind, scale: float = 1.0, bias: float = 0.0, channel: str = "rgb"
@@ -159,6 +160,14 @@ def _preview_surface(stage, material, avatar: Avatar, textures: str) -> None:
     texture("normal", "raw", "normal", types.Normal3f, 2.0, -1.0)
     if avatar.textures.occlusion is not None:
         texture("occlusion", "raw", "occlusion", types.Float, channel="r")
+
+
+def _index_of_refraction(avatar: Avatar) -> float:
+    """Of the mean F0 on the atlas: F0 = ((n - 1) / (n + 1))^2."""
+    maps = avatar.textures
+    used = maps.specular_f0[maps.coverage] if maps.coverage.any() else maps.specular_f0
+    root = float(np.sqrt(np.clip(used.mean(dtype=np.float64), 0.0, 0.9)))
+    return (1.0 + root) / (1.0 - root)
 
 
 def _identifier(name: str) -> str:

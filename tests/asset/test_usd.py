@@ -122,6 +122,8 @@ def test_no_metal_and_the_fitted_roughness(avatar, stage):
     assert value["metallic"] == 0
     assert value["useSpecularWorkflow"] == 1
     assert value["roughness"] == pytest.approx(avatar.roughness, rel=1e-6)
+    f0 = ((value["ior"] - 1) / (value["ior"] + 1)) ** 2
+    assert f0 == pytest.approx(avatar.textures.specular_f0.mean(), rel=1e-5)
 
 
 def test_usds_own_validators_have_nothing_to_say(stage):
