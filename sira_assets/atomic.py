@@ -1,14 +1,22 @@
 """Nothing is ever half-written: write beside the target, flush to disk, then rename over it.
 
-`os.replace` is atomic within one file system, so a reader sees the old file, the new one, or none.
+`os.replace` is atomic within one file system, so a reader sees the old file, the new one, or none. Linux can also
+exchange two names at once (renameat2), so that a folder's name never stands empty; elsewhere there is such a moment.
 """
 
 import contextlib
+import ctypes
+import errno
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+# <fcntl.h>'s "relative to the current folder" and <linux/fs.h>'s RENAME_EXCHANGE.
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+# What a disk says when it takes no more.
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 @contextlib.contextmanager
@@ -16,6 +24,10 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Give a temporary path in `path`'s folder; on success it replaces `path`, on any error it is removed.
 
     The temporary name keeps `path`'s suffix, since many writers choose their format by it.
+
+    Raises
+    ------
+    OSError : the disk takes no more, whatever the writer's own kind of error for that.
 
     Examples
     --------
@@ -36,6 +48,12 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         os.replace(temporary, path)
+    except Exception as error:
+        # Writers in other languages (OpenEXR, USD, safetensors) say it by errors of their own.
+        said = [code for code in DISK_ERRORS if os.strerror(code) in str(error)]
+        if said and not isinstance(error, OSError):
+            raise OSError(said[0], os.strerror(said[0]), str(path)) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -44,7 +62,8 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 def replacing_folder(folder: str | os.PathLike) -> Iterator[Path]:
     """Give a fresh folder beside `folder`; on success it takes that name, on any error it is removed.
 
-    What stood there is deleted last, and put back if the move fails.
+    What stood there is deleted last: the two exchange names in one step where the system can (Linux), else what stood
+    there is moved aside first, and put back if the second move fails.
     """
     folder = Path(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -57,6 +76,8 @@ def replacing_folder(folder: str | os.PathLike) -> Iterator[Path]:
         if not folder.exists():
             os.replace(fresh, folder)
             return
+        if _exchanged(fresh, folder):
+            return
         old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
         os.replace(folder, old / "was")
         try:
@@ -67,6 +88,15 @@ def replacing_folder(folder: str | os.PathLike) -> Iterator[Path]:
         shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two names atomically; False where the system or the file system cannot."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    return rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> None:

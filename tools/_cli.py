@@ -6,6 +6,7 @@ Exit status: 0 done; 1 an unexpected failure (with its traceback); 2 wrong usage
 used, one line on stderr says why and what to do; 130 interrupted.
 """
 
+import errno
 import sys
 from collections.abc import Callable
 
@@ -38,6 +39,7 @@ def run(body: Callable[[], int | None]) -> int:
     0, 3 or 130 as above, or what `body` returned. Any other exception passes through with its traceback: it is a
     defect, not the user's mistake.
     """
+    from sira_assets.atomic import DISK_ERRORS
     from sira_assets.errors import InputError, MissingExtraError
 
     try:
@@ -48,6 +50,11 @@ def run(body: Callable[[], int | None]) -> int:
     except FileNotFoundError as error:
         # Readers say more where they can; this catches a path that vanished or was mistyped on the way.
         print(f"error: no such file: {error.filename or error}", file=sys.stderr)
+        return 3
+    except OSError as error:
+        if error.errno not in (*DISK_ERRORS, errno.EACCES, errno.EPERM):
+            raise
+        print(f"error: cannot write or read {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return 3
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -21,9 +21,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--picture", type=Path, metavar="PNG", help="write the error maps (some 20 s)")
     out.add_argument("--points", type=int, default=100_000, metavar="N", help="surface points timed (default 100000)")
     out.add_argument("--lobes", type=int, default=32, metavar="M", help="light lobes timed (default 32)")
-    out.add_argument(
-        "--traffic", action="store_true", help="shading against copying its arrays instead"
-    )
+    out.add_argument("--traffic", action="store_true", help="shading against copying its arrays instead")
     out.add_argument("--scene", type=Path, metavar="DIR", help="irradiance on a scene's true normals (gt/) as well")
     out.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return out

@@ -89,6 +89,8 @@ CONTRACT = [
     "avatar.mtl",
     "avatar.obj",
     "envmap.exr",
+    "envmap.hdr",
+    "sh.json",
     "field.safetensors",
     "lights.json",
     "report.html",
