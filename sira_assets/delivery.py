@@ -24,6 +24,7 @@ from sira_assets.measure.report_page import write_report_html
 from sira_assets.numerics.colour import srgb_from_linear
 from sira_assets.pipeline import Journey, Settings
 from sira_assets.scene.image import write_exr, write_png
+from sira_assets.viewer.scene import ViewerScene, viewer_scene
 
 FILES = (
     ("avatar.glb", "the asset: mesh, material and maps in one file, the scene's own coordinates"),
@@ -91,7 +92,8 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
             write_png(fresh / "renders" / f"{name}.png", pixels)
         said = colour_header("radiance of the fitted field at the portrait's camera")
         write_exr(fresh / "renders" / "final.exr", journey.view.final, header=said)
-        report = _report(journey, settings, pictures, exported)
+        viewer = viewer_scene(fresh / "avatar.glb", shadows=journey.appearance.shadowed)
+        report = _report(journey, settings, pictures, exported, viewer)
         write_report_json(report, fresh / "report.json")
         write_report_html(report, fresh / "report.html")
     return report
@@ -135,7 +137,13 @@ CAPTIONS = {
 }
 
 
-def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray], exported: ExportedView) -> Report:
+def _report(
+    journey: Journey,
+    settings: Settings,
+    pictures: dict[str, np.ndarray],
+    exported: ExportedView,
+    viewer: ViewerScene,
+) -> Report:
     view, portrait, avatar = journey.view, journey.portrait, journey.avatar
     both = portrait.mask & view.hit
     union = portrait.mask | view.hit
@@ -176,6 +184,7 @@ def _report(journey: Journey, settings: Settings, pictures: dict[str, np.ndarray
         seed=settings.seed,
         metres_per_unit=portrait.metres_per_unit,
         files=(*FILES, *(USD_FILES if settings.export.usd else ())),
+        viewer=viewer,
     )
 
 

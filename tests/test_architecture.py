@@ -21,6 +21,7 @@ ROOMS = (
     "texture",
     "asset",
     "relight",
+    "viewer",
     "measure",
     "pipeline",
     "delivery",

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sira_assets.atomic import write_text
+from sira_assets.viewer.scene import ViewerScene
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class Report:
     title, subtitle : the subject and the settings in a few words
     photo, render : the input and the avatar seen by the same camera, of one size
     maps : further pictures, in the order they are shown
+    viewer : the avatar to be turned by hand; `photo` lies over it where it has the photo's camera
     seconds : (stage, wall-clock seconds) in the order they ran
     settings : (name, value) as given or defaulted
     files : (relative path, what it is) of what was written
@@ -99,6 +101,7 @@ class Report:
     seed: int | None = None
     metres_per_unit: float = 1.0
     files: tuple[tuple[str, str], ...] = ()
+    viewer: ViewerScene | None = None
 
     @property
     def total_seconds(self) -> float:

@@ -16,9 +16,12 @@ import numpy as np
 from sira_assets.atomic import write_text
 from sira_assets.measure.curve_svg import curve_svg, short
 from sira_assets.measure.report import Metric, Picture, Report
+from sira_assets.viewer.page import viewer_html
 
 # A page shows pictures at most this wide; the full maps lie beside it as files.
 MAX_PICTURE_PIXELS = 1024
+# By which the 3D view finds the photo that lies over it.
+PHOTO_ID = "photo"
 
 
 def write_report_html(report: Report, path: str | Path) -> None:
@@ -30,6 +33,7 @@ def report_html(report: Report) -> str:
     """The page's text."""
     template = (files("sira_assets.measure") / "report_page.html").read_text(encoding="utf-8")
     sections = (
+        ("3D view", _viewer(report)),
         ("Maps and renders", _gallery(report.maps)),
         ("Measurements", _metrics(report.metrics)),
         ("Decisions, and what they were made from", _decisions(report)),
@@ -76,9 +80,9 @@ def _compare(before: Picture | None, after: Picture | None) -> str:
     """Photo and render under one slider; with one of the two missing, the other alone."""
     if before is None or after is None:
         alone = before or after
-        return _figure_html(alone) if alone else ""
+        return _figure_html(alone, PHOTO_ID if before else "") if alone else ""
     left, right = _text(before.name), _text(after.name)
-    return f"""<div class="compare"><div class="inner"><img src="{data_uri(before)}" alt="{left}">
+    return f"""<div class="compare"><div class="inner"><img id="{PHOTO_ID}" src="{data_uri(before)}" alt="{left}">
 <img class="after" src="{data_uri(after)}" alt="{right}"></div>
 <div class="bar"></div><span class="tag left">{left}</span><span class="tag right">{right}</span>
 <input type="range" min="0" max="100" step="0.5" value="50" aria-label="Where the two pictures meet"></div>
@@ -86,15 +90,20 @@ def _compare(before: Picture | None, after: Picture | None) -> str:
 <button data-difference aria-pressed="false">Difference × 3</button></div>"""
 
 
+def _viewer(report: Report) -> str:
+    return "" if report.viewer is None else viewer_html(report.viewer, photo_id=PHOTO_ID if report.photo else None)
+
+
 def _gallery(pictures: tuple[Picture, ...]) -> str:
     return f'<div class="gallery">{"".join(map(_figure_html, pictures))}</div>' if pictures else ""
 
 
-def _figure_html(picture: Picture) -> str:
+def _figure_html(picture: Picture, named: str = "") -> str:
     uri, name, caption = data_uri(picture), _text(picture.name), _text(picture.caption)
     under = f"{name}: {caption}" if caption else name
+    tag = f'id="{named}" ' if named else ""
     return (
-        f'<figure><a href="#" data-caption="{under}"><img src="{uri}" alt="{name}"></a>'
+        f'<figure><a href="#" data-caption="{under}"><img {tag}src="{uri}" alt="{name}"></a>'
         f"<figcaption><b>{name}</b>{caption}</figcaption></figure>"
     )
 

@@ -90,6 +90,25 @@ _EDGE_NUMERATOR = (0.66667374, -1.29939423, 1.61863833, -0.64349498, 0.74904216)
 _EDGE_DENOMINATOR = (1.0, -2.57296878, 3.47450107, -1.86816654, 0.90558153)
 
 
+class LobeConstants(NamedTuple):
+    """What `irradiance_accurate` needs of a lobe's sharpness alone: E(0), O, sqrt(lambda + 1) and P / x by powers of x."""
+
+    edge: Tensor
+    odd: Tensor
+    root: Tensor
+    tail: tuple[Tensor, ...]
+
+
+def lobe_constants(sharpness: Tensor) -> LobeConstants:
+    """The part of `irradiance_accurate` that is the same for every surface; for lambda >= 0."""
+    tau = sharpness / (sharpness + _TAU_SCALE)
+    edge_ratio = horner(tau, _EDGE_NUMERATOR) / horner(tau, _EDGE_DENOMINATOR)
+    edge = math.pi * (1.0 + sharpness * edge_ratio) ** -1.5  # E(0) = 2 pi e^{-lambda} I_1(lambda) / lambda
+    odd = 2.0 * math.pi * odd1(2.0 * sharpness)
+    root = torch.sqrt(sharpness + 1.0)
+    return LobeConstants(edge, odd, root, (odd / (edge * root), *(horner(tau, row) for row in _TAIL)))
+
+
 def irradiance_accurate(cosine: Tensor, sharpness: Tensor) -> Tensor:
     """E(lambda, c) within 0.01 % of the head-on value for every sharpness >= 0.
 
@@ -98,25 +117,20 @@ def irradiance_accurate(cosine: Tensor, sharpness: Tensor) -> Tensor:
     lambda alone, its first one such that E has a continuous slope. So E is positive, rises with c, and costs one
     exponential per pair of surface and lobe; it is linear in max(c, 0) as lambda grows without bound.
     """
-    tau = sharpness / (sharpness + _TAU_SCALE)
-    edge_ratio = horner(tau, _EDGE_NUMERATOR) / horner(tau, _EDGE_DENOMINATOR)
-    edge = math.pi * (1.0 + sharpness * edge_ratio) ** -1.5  # E(0) = 2 pi e^{-lambda} I_1(lambda) / lambda
-    odd = 2.0 * math.pi * odd1(2.0 * sharpness)
-    root = torch.sqrt(sharpness + 1.0)
+    edge, odd, root, tail = lobe_constants(sharpness)
     away = cosine.abs()
     x = away * root
-    tail = horner(x, (odd / (edge * root), *(horner(tau, row) for row in _TAIL)))
     # c + |c| and not 2 max(c, 0): the gradient of |c| at 0 is 0, and the slope there O, as it should be.
-    return edge * torch.exp(-x * tail) + odd * (cosine + away)
+    return edge * torch.exp(-x * horner(x, tail)) + odd * (cosine + away)
 
 
 # As above with tau = lambda / (lambda + 2), for `integral_and_mean_cosine`: few enough terms to pay per pair.
-_MEAN_TAU_SCALE = 2.0
-_MEAN_EDGE = (-0.04806681, 0.35161127, 0.11122305)
-_MEAN_TAIL = (0.286, 0.1653)
+MEAN_TAU_SCALE = 2.0
+MEAN_EDGE = (-0.04806681, 0.35161127, 0.11122305)
+MEAN_TAIL = (0.286, 0.1653)
 # Below it the integral is held: (1 - e^{-2 lambda}) / lambda loses digits. A lobe that flat arises only as the product
 # of nearly opposite lobes, which e^{lambda_3 - lambda_1 - lambda_2} has put out.
-_MEAN_SHARPNESS_FLOOR = 0.02
+MEAN_SHARPNESS_FLOOR = 0.02
 
 
 def integral_and_mean_cosine(cosine: Tensor, sharpness: Tensor) -> tuple[Tensor, Tensor]:
@@ -125,15 +139,15 @@ def integral_and_mean_cosine(cosine: Tensor, sharpness: Tensor) -> tuple[Tensor,
     For products of lobes, whose sharpness differs from pair to pair: half the cost of `irradiance_accurate` there. The
     mean is within 0.4 % of its head-on value for sharpness >= 0.02.
     """
-    sharpness = sharpness.clamp_min(_MEAN_SHARPNESS_FLOOR)
+    sharpness = sharpness.clamp_min(MEAN_SHARPNESS_FLOOR)
     opposite = torch.exp(-2.0 * sharpness)
     inverse = 1.0 / sharpness
-    tau = sharpness / (sharpness + _MEAN_TAU_SCALE)
-    edge = 0.25 * torch.rsqrt(1.0 + sharpness * horner(tau, _MEAN_EDGE))
+    tau = sharpness / (sharpness + MEAN_TAU_SCALE)
+    edge = 0.25 * torch.rsqrt(1.0 + sharpness * horner(tau, MEAN_EDGE))
     slope = (1.0 + opposite) / (1.0 - opposite) - inverse  # coth(lambda) - 1 / lambda, twice the odd part over A
     away = cosine.abs()
     root = torch.sqrt(sharpness + 1.0)
     x = away * root
-    bend = tau * tau * x * (_MEAN_TAIL[0] + _MEAN_TAIL[1] * x)
+    bend = tau * tau * x * (MEAN_TAIL[0] + MEAN_TAIL[1] * x)
     mean = edge * torch.exp(-x * (0.5 * slope / (edge * root) + bend)) + 0.5 * slope * (cosine + away)
     return 2.0 * math.pi * (1.0 - opposite) * inverse, mean
