@@ -71,9 +71,15 @@ def _warnings(report: Report) -> str:
 
 def _top(report: Report) -> str:
     """The comparison with the headline figures and warnings beside it."""
-    columns = (_compare(report.photo, report.render), _cards(report) + _warnings(report))
+    hidden, compared = "", ""
+    if report.photo and report.viewer and report.render is None:
+        # The 3D view shows it.
+        hidden = f'<img id="{PHOTO_ID}" src="{data_uri(report.photo)}" alt="" hidden>'
+    else:
+        compared = _compare(report.photo, report.render)
+    columns = (compared, _cards(report) + _warnings(report))
     body = "\n".join(f"<div>{column}</div>" for column in columns if column)
-    return f'<div class="stage">{body}</div>' if body else ""
+    return hidden + (f'<div class="stage">{body}</div>' if body else "")
 
 
 def _compare(before: Picture | None, after: Picture | None) -> str:

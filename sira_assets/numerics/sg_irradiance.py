@@ -91,7 +91,7 @@ _EDGE_DENOMINATOR = (1.0, -2.57296878, 3.47450107, -1.86816654, 0.90558153)
 
 
 class LobeConstants(NamedTuple):
-    """What `irradiance_accurate` needs of a lobe's sharpness alone: E(0), O, sqrt(lambda + 1) and P / x by powers of x."""
+    """What `irradiance_accurate` needs of a lobe alone: E(0), O, sqrt(lambda + 1) and P / x by powers of x."""
 
     edge: Tensor
     odd: Tensor

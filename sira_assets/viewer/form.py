@@ -1,8 +1,8 @@
 """A viewer scene as the numbers its page computes with: JSON, and bytes in base64.
 
-Notation: as in numerics.sg_irradiance and numerics.sg_specular. Every fitted constant of the closed form is written from
-there into the page, so that the page's shader holds none of its own: per lobe the eight numbers of `lobe_constants`, per
-roughness GGX's directional albedo R = f0 scale + bias at equidistant sqrt(nv).
+Notation: as in numerics.sg_irradiance and numerics.sg_specular. Every fitted constant of the closed form is written
+from there into the page, so that the page's shader holds none of its own: per lobe the eight numbers of
+`lobe_constants`, per roughness GGX's directional albedo R = f0 scale + bias at equidistant sqrt(nv).
 """
 
 import base64

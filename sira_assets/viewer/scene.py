@@ -1,7 +1,8 @@
 """What a page needs to show an avatar in three dimensions: the exported file, where it is seen from, light, shadows.
 
-Notation: the world is the file's own; V_pk = 1 where vertex p of the file sees direction w_k past the avatar itself, one
-bit each. From these bits the page works out every lobe's shadow anew when the light turns (render.visibility_table).
+Notation: the world is the file's own; V_pk = 1 where vertex p of the file sees direction w_k past the avatar itself,
+one bit each. From these bits the page works out every lobe's shadow anew when the light turns, as
+render.visibility_table does.
 """
 
 from dataclasses import dataclass

@@ -43,10 +43,16 @@ async function start(box) {
   const { orbit } = view;
 
   // A slow machine draws fewer pixels while something moves, and all of them when it rests.
-  let waiting = false, coarse = 1, resting = 0;
+  let waiting = true, coarse = 1, resting = 0;
   const resize = (share) => {
     const scale = share * Math.min(window.devicePixelRatio || 1, 2);
     view.resize(Math.max(1, Math.round(canvas.clientWidth * scale)), Math.max(1, Math.round(canvas.clientHeight * scale)));
+  };
+  const place = () => {
+    const there = orbit.atPhoto;
+    box.classList.toggle("away", !there);
+    part("cut").disabled = !there;
+    part("reset").disabled = there;
   };
   const redraw = () => {
     if (waiting) return;
@@ -59,17 +65,13 @@ async function start(box) {
         resting = setTimeout(fit, 250);
       }
       view.draw();
-      const there = orbit.atPhoto;
-      box.classList.toggle("away", !there);
-      part("cut").disabled = !there;
-      part("reset").disabled = there;
+      place();
     });
   };
   const fit = () => {
     resize(1);
     view.draw();
   };
-  new ResizeObserver(fit).observe(canvas);
 
   // Light, exposure, maps.
   let relighting = false;
@@ -192,8 +194,18 @@ async function start(box) {
   box.view = view;
   choose();
   expose();
-  fit();
-  coarse = Math.min(1, Math.max(0.25, Math.sqrt(SMOOTH_MS / view.time())));
+  // The first picture is small: it takes as long as the shader takes to compile.
+  view.resize(16, 16);
+  await view.time();
+  resize(1);
+  coarse = Math.min(1, Math.max(0.25, Math.sqrt(SMOOTH_MS / (await view.time()))));
+  let seen = canvas.clientWidth;
+  new ResizeObserver(() => {
+    if (canvas.clientWidth !== seen) fit();
+    seen = canvas.clientWidth;
+  }).observe(canvas);
+  waiting = false;
+  place();
   say("");
   box.classList.add("ready");
 }
