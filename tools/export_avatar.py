@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--no-shadows", dest="shadows", action="store_false", help="light without the head's cast shadows")
     p.add_argument("--specular-form", choices=["color", "factor"], default="color", help="where the GLB keeps F0")
     p.add_argument("--quantize", action="store_true", help="GLB geometry as integers: half the size, 0.01 mm steps")
-    p.add_argument("--jpeg", type=int, metavar="QUALITY", help="GLB pictures as JPEG, 1 to 100 (default: PNG)")
+    p.add_argument("--jpeg", type=int, metavar="QUALITY", help="GLB colours as JPEG, 1 to 100 (default: PNG)")
     p.add_argument("--usd", action="store_true", help="write avatar.usdc and .usdz too (extra usd)")
     p.add_argument("--prior", type=Path, help="trained models (default: the ones that ship with the package)")
     p.add_argument("--resume", action="store_true", help="go on from the last finished fit of a stopped run")

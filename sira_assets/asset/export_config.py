@@ -17,7 +17,8 @@ class ExportConfig:
         the extension's weight, which scales F90 as well, for programs that read only that
     quantise : vertex data of the GLB as 8 and 16-bit integers (KHR_mesh_quantization): half the size, positions to a
         65535th of the head
-    jpeg_quality : pictures of the GLB as JPEG of that quality (1 to 100), colours not subsampled; None: PNG, lossless
+    jpeg_quality : pictures of the GLB, but for normals, as JPEG of that quality (1 to 100), colours not subsampled;
+        None: PNG, lossless
     usd : write avatar.usdc and avatar.usdz too; needs the extra `usd`
 
     Raises

@@ -34,8 +34,10 @@ def gltf_material(avatar: Avatar, file: GlbFile, config: ExportConfig) -> dict:
 
     normal = encode_normal(maps.normal_tangent)
     if not (normal[used] == encode_normal(FLAT_NORMAL)).all():
-        said = "tangent-space normal (n + 1) / 2, linear, +Y up"
-        material["normalTexture"] = _texture(file, normal, "normal", said, config)
+        # Always PNG: JPEG of quality 92 turns a head's normals by 1.4 degrees in the worst hundredth and by 15 at the
+        # borders of charts, which highlights show.
+        text = {"Description": "tangent-space normal (n + 1) / 2, linear, +Y up"}
+        material["normalTexture"] = {"index": file.add_texture(encode_png(normal, text), "normal")}
 
     if maps.occlusion is not None:
         # Red is read; three equal channels look like what they are in any viewer. Open everywhere says nothing.
