@@ -18,6 +18,7 @@ from sira_assets.fit.appearance_losses import AppearanceFitConfig, AppearanceLos
 from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.loop import Checkpoint, Stage, run_stages
+from sira_assets.fit.pace import Pace
 from sira_assets.fit.pixels import require_pixels
 from sira_assets.fit.required import Evidence, needed_lobes, needed_shadows, needed_specular
 from sira_assets.fit.seen_surface import SurfacePoints, hidden_surface, visible_surface
@@ -60,6 +61,7 @@ def fit_appearance(
     config: AppearanceFitConfig = AppearanceFitConfig(),
     *,
     checkpoint: Checkpoint | None = None,
+    pace: Pace | None = None,
     report: Callable[[int, int], None] = lambda step, steps: None,
 ) -> AppearanceFit:
     """Find albedo, specular albedo and light of one portrait on its fitted surface.
@@ -68,6 +70,7 @@ def fit_appearance(
     ----------
     surface_canonical : the fitted surface as triangles, canonical metres; it casts the shadows
     checkpoint : where the state is kept while the fit runs; one of this very fit is gone on from
+    pace : when to be over, in place of the steps planned; not together with a checkpoint
     report : called with (steps done, steps in all)
     """
     c = config
@@ -77,7 +80,9 @@ def fit_appearance(
     caster = Raycaster(surface_canonical) if c.shadows else None
     shadows = FitShadows(caster, c.rays, device=device) if caster is not None else None
     fit = AppearanceLosses(c, prior, surface, hidden_surface(geometry, surface, generator), shadows)
-    record = run_stages(_stages(fit, c), fit.state(), seed=c.seed, device=device, checkpoint=checkpoint, report=report)
+    record = run_stages(
+        _stages(fit, c), fit.state(), seed=c.seed, device=device, checkpoint=checkpoint, pace=pace, report=report
+    )
     freeze(fit.refinement)
     if not c.scheduled:
         freeze(fit.model)

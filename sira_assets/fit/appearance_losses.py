@@ -18,6 +18,7 @@ from sira_assets.fields.prior import Prior
 from sira_assets.fit.light import FreeLight
 from sira_assets.fit.seen_surface import SurfacePoints
 from sira_assets.fit.shadows import FitShadows, ShadowConfig
+from sira_assets.numerics.sg import Grade
 from sira_assets.numerics.srgb import srgb_decode, srgb_encode
 from sira_assets.render.shading import ROUGHNESS, Shading, shade
 from sira_assets.render.visibility_table import VisibilityTable
@@ -30,6 +31,8 @@ class AppearanceFitConfig:
     Parameters
     ----------
     max_surface : seen points that the refinement learns from; all other stages make do with `early_surface` of them
+    lobes : how many of the mean light's lobes the search starts from, those that give most; all if None
+    grade : of the closed-form shading, see `render.shading.shade`
     shadows : whether the head casts shadows on itself
     scheduled : False learns light, codes and the decoders' own weights all at once, with k_s = 1 and no refinement, in
         as many steps: what is left where there is no trained prior (the paper's ablation)
@@ -51,6 +54,8 @@ class AppearanceFitConfig:
     highlight: float = 2.0
     regularity: float = 0.05
     unseen: float = 0.5
+    lobes: int | None = None
+    grade: Grade = "accurate"
     shadows: bool = True
     scheduled: bool = True
     rays: ShadowConfig = ShadowConfig()
@@ -84,7 +89,7 @@ class AppearanceLosses:
         self.points: SurfacePoints = self.early
         self.table: VisibilityTable | None = None
         self.model = prior.appearance if config.scheduled else opened(prior.appearance)
-        self.light = FreeLight(prior)
+        self.light = FreeLight(prior, lobes=config.lobes)
         # Each lobe's share at all points when last looked at; nothing to keep without shadows.
         self.held = torch.ones(len(surface) if shadows is not None else 0, len(self.light.log_sharpness), device=device)
         self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
@@ -157,7 +162,7 @@ class AppearanceLosses:
         else:
             # While the light is sought its shadows pull at it; in the refinement it hardly moves.
             seen = self.held[rows] if refine else self.table.share(rows, *lobes[:2])
-        shading = shade(points.normals, points.view, albedo, k_s * f0, *lobes, visibility=seen)
+        shading = shade(points.normals, points.view, albedo, k_s * f0, *lobes, visibility=seen, grade=c.grade)
         losses = {
             "colour": colour_error(shading.radiance, points),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),

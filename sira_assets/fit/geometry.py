@@ -18,6 +18,7 @@ from sira_assets.fields.sa_sm import ShapeAppearanceModel
 from sira_assets.fit.geometry_losses import GeometryFitConfig, GeometryLosses
 from sira_assets.fit.kept_rays import KeptRays
 from sira_assets.fit.loop import Checkpoint, Stage, run_stages
+from sira_assets.fit.pace import Pace
 from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
 from sira_assets.scene.portrait import Portrait
 
@@ -57,6 +58,7 @@ def fit_geometry(
     *,
     device: str | torch.device = "cpu",
     checkpoint: Checkpoint | None = None,
+    pace: Pace | None = None,
     report: Callable[[int, int], None] = lambda step, steps: None,
 ) -> GeometryFit:
     """Fit SA-SM to one portrait.
@@ -65,6 +67,7 @@ def fit_geometry(
     ----------
     prior : on `device`
     checkpoint : where the state is kept while the fit runs; one of this very fit is gone on from
+    pace : when to be over, in place of the steps planned; not together with a checkpoint
     report : called with (steps done, steps in all)
     """
     c = config
@@ -98,7 +101,9 @@ def fit_geometry(
         fit.state(),
         seed=c.seed,
         device=device,
+        bfloat16=c.bfloat16,
         checkpoint=checkpoint,
+        pace=pace,
         report=report,
     )
     freeze(fit.model)

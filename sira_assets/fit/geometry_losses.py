@@ -16,7 +16,7 @@ from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.kept_rays import KeptRays
 from sira_assets.fit.pixels import CUT_Y_M
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
-from sira_assets.render.tracing import differentiable_hit
+from sira_assets.render.tracing import TraceConfig, differentiable_hit
 
 # Over this distance (network units: 1 cm) the change of the deformation should be even.
 SLOPE_REACH = 0.1
@@ -62,6 +62,9 @@ class GeometryFitConfig:
     pose: float = 2.0e-3
     # A ray whose kept hit is further than this off the surface waits for the next retrace.
     lost: float = 0.08
+    trace: TraceConfig = TraceConfig()
+    # Hidden layers of the networks in bfloat16 instead of float32.
+    bfloat16: bool = False
     seed: int = 0
 
 
@@ -131,8 +134,8 @@ class GeometryLosses:
         for kept in (self.inside, self.edge):
             kept.choose(generator)
         z_sdf = self.codes()[0]
-        self.inside.retrace(self.model, z_sdf, self.pose)
-        self.edge.retrace(self.model, z_sdf, self.pose)
+        self.inside.retrace(self.model, z_sdf, self.pose, self.config.trace)
+        self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.deepest(self.model, z_sdf, self.pose)
 
     def losses(self, generator: torch.Generator, *, geometry: bool) -> dict[str, Tensor]:

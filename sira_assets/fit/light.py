@@ -8,14 +8,24 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sira_assets.fields.prior import Prior
+from sira_assets.numerics.sg import sg_integral
 
 
 class FreeLight:
-    """Spherical gaussians to be optimised, started at the prior's mean light."""
+    """Spherical gaussians to be optimised, started at the prior's mean light.
 
-    def __init__(self, prior: Prior):
+    Parameters
+    ----------
+    lobes : keep so many of that light's lobes, those of the greatest flux; all if None
+    """
+
+    def __init__(self, prior: Prior, *, lobes: int | None = None):
         with torch.no_grad():
             axis, sharpness, amplitude = (t[0] for t in prior.appearance.lobes(prior.z_l.mean[None]))
+            if lobes is not None and lobes < len(sharpness):
+                flux = sg_integral(sharpness, amplitude).mean(-1)
+                kept = flux.topk(max(lobes, 1)).indices.sort().values
+                axis, sharpness, amplitude = axis[kept], sharpness[kept], amplitude[kept]
         self.axis = nn.Parameter(axis.clone())
         self.log_sharpness = nn.Parameter(sharpness.log())
         self.log_amplitude = nn.Parameter(amplitude.clamp_min(1e-4).log())

@@ -1,7 +1,8 @@
 """Stages of a fit: cosine schedules, guarded steps, checkpoints inside a stage, and an interrupt that saves.
 
 Notation: a fit is a list of stages; step s counts through all of them. Random numbers of a step are a function of
-(seed, s), and a checkpoint holds every tensor that steps change, so that a killed fit goes on to the same result.
+(seed, s), and a checkpoint holds every tensor that steps change, so that a killed fit goes on to the same result. A fit
+that keeps a pace does as many steps as the clock lets it, so it cannot be gone on with exactly, and keeps no checkpoint.
 """
 
 import json
@@ -17,6 +18,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from sira_assets.fit.pace import Pace, StageKept, progress, stage_ends
 from sira_assets.train.batches import step_generator
 from sira_assets.train.checkpoint import load_checkpoint, read_header, save_checkpoint
 from sira_assets.train.guard import GuardedOptimiser
@@ -32,10 +34,11 @@ class Stage:
     Parameters
     ----------
     groups : (parameters, rate) each; rates fall to nothing along a cosine
-    losses : (step of the stage, generator) -> weighted terms, whose sum is the loss
+    losses : (planned step of the stage, generator) -> weighted terms, whose sum is the loss
     begin : called before the first step
     enter : called whenever the stage is entered, also when it is gone on with
-    before_step : called with the step of the stage
+    before_step : called with each planned step of the stage, also with those that a pace skips
+    work : how long a step takes, beside the other stages' steps; what a pace shares the time out by
     """
 
     name: str
@@ -45,6 +48,7 @@ class Stage:
     begin: Callable[[], None] = lambda: None
     enter: Callable[[], None] = lambda: None
     before_step: Callable[[int, torch.Generator], None] = lambda step, generator: None
+    work: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,9 @@ def run_stages(
     *,
     seed: int,
     device: str | torch.device = "cpu",
+    bfloat16: bool = False,
     checkpoint: Checkpoint | None = None,
+    pace: Pace | None = None,
     report: Callable[[int, int], None] = lambda step, steps: None,
 ) -> FitRecord:
     """Run all stages; with a checkpoint of this very fit, go on from it.
@@ -85,12 +91,17 @@ def run_stages(
     Parameters
     ----------
     state : every tensor that a stage changes, all of them changed in place only
-    report : called with (steps done, steps in all)
+    bfloat16 : hidden layers run in bfloat16 (`fields.mlp.MLP`)
+    pace : when to be over; not together with a checkpoint
+    report : called with (steps done, steps in all), counted as planned
 
     Raises
     ------
+    ValueError : a checkpoint and a pace.
     KeyboardInterrupt : Ctrl-C, after the running step, its state saved if there is a checkpoint.
     """
+    if checkpoint is not None and pace is not None:
+        raise ValueError("steps that depend on the clock cannot be gone on with from a checkpoint")
     began, total = time.monotonic(), sum(stage.steps for stage in stages)
     done, facts = _resumed(checkpoint, state)
     history, warnings = [tuple(row) for row in facts["history"]], list(facts["warnings"])
@@ -103,10 +114,11 @@ def run_stages(
         save_checkpoint(checkpoint.path, {"state": state}, optimiser, done, checkpoint.key, seconds, json.dumps(now))
 
     with _deferred_interrupt() as interrupted:
-        for stage in stages:
+        for number, stage in enumerate(stages):
             start, ends = ends, ends + stage.steps
             if done >= ends:
                 continue
+            end_by = stage_ends(pace, [s.work * s.steps for s in stages[number:]]) if pace is not None else 0.0
             if done == start:
                 stage.begin()
             stage.enter()
@@ -114,16 +126,25 @@ def run_stages(
             if done > start:
                 load_checkpoint(checkpoint.path, {"state": state}, optimiser, checkpoint.key)
             guard = GuardedOptimiser(optimiser)
-            while done < ends:
-                step, generator = done - start, step_generator(seed, done, device)
+            made, entered = 0, done - start
+            for p in progress(stage.steps, first=done - start, pace=pace, ends_at=end_by):
+                # Exact where there is no pace: the step that p was made from.
+                step = int(p * stage.steps + 1e-6)
+                done = start + step
+                # A pace that makes more steps than planned still draws other random numbers for each.
+                generator = step_generator(seed, done if pace is None else start + made, device)
+                turned = math.pi * step / stage.steps if pace is None else math.pi * p
                 for group, (_, rate) in zip(optimiser.param_groups, stage.groups, strict=True):
-                    group["lr"] = rate * 0.5 * (1.0 + math.cos(math.pi * step / stage.steps))
-                stage.before_step(step, generator)
-                terms = stage.losses(step, generator)
+                    group["lr"] = rate * 0.5 * (1.0 + math.cos(turned))
+                for planned in range(entered, step + 1):
+                    stage.before_step(planned, generator)
+                entered = max(entered, step + 1)
+                with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=bfloat16):
+                    terms = stage.losses(step, generator)
                 accepted = guard.backward(sum(terms.values())) and guard.step()
-                if accepted and done % HISTORY_EVERY == 0:
+                if accepted and (done if pace is None else made) % HISTORY_EVERY == 0:
                     history.append((done, {name: float(value.detach()) for name, value in terms.items()}))
-                done += 1
+                done, made = done + 1, made + 1
                 report(done, total)
                 if guard.exhausted:
                     done = ends
@@ -133,6 +154,11 @@ def run_stages(
                     saved_at = time.monotonic()
                 if interrupted():
                     raise KeyboardInterrupt
+                if guard.exhausted:
+                    break
+            done = ends
+            if pace is not None:
+                pace.note(StageKept(stage.name, stage.steps, made))
             if guard.refused:
                 ended = ", and the stage was ended" if guard.exhausted else ""
                 warnings.append(

@@ -1,0 +1,77 @@
+"""Steps of a fit's stage against the clock: a stage that must end by a moment does as many steps as it has time for.
+
+Notation: a stage is planned with S steps; p in [0, 1) says how far along its schedule it is, so its planned step is
+floor(p S). Without a clock p = n / S after n steps. With one, each step moves p on by (1 - p) / m, where m is how many
+steps still fit into the time left at the speed seen so far: schedules keep their shape however many steps there are.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+# Steps after which their mean time is worth going by, and how many of the last ones it is taken over: twice the 40 steps
+# after which a geometry fit traces its rays anew.
+FEWEST = 4
+WINDOW = 80
+
+
+@dataclass(frozen=True)
+class StageKept:
+    """How many steps a stage was planned with and how many it did."""
+
+    name: str
+    planned: int
+    done: int
+
+
+@dataclass(frozen=True)
+class Pace:
+    """When a fit is to be over.
+
+    Parameters
+    ----------
+    ends_at : on `clock`, seconds
+    most : no stage does more than this many times its planned steps
+    clock : monotonic seconds
+    note : told of each stage as it ends
+    """
+
+    ends_at: float
+    most: float = 1.0
+    clock: Callable[[], float] = time.monotonic
+    note: Callable[[StageKept], None] = lambda kept: None
+
+
+def stage_ends(pace: Pace, work: Sequence[float]) -> float:
+    """When the first of the stages left is to end, the time left shared out by their `work` (any unit)."""
+    now = pace.clock()
+    share = work[0] / max(sum(work), 1e-30)
+    return now + share * max(pace.ends_at - now, 0.0)
+
+
+def progress(steps: int, *, first: int = 0, pace: Pace | None = None, ends_at: float = 0.0) -> Iterator[float]:
+    """p before each step of a stage; the time between two values asked for is taken as one step's.
+
+    Parameters
+    ----------
+    steps : planned
+    first : steps done before, without a pace only
+    ends_at : when the stage is to end, on the pace's clock
+    """
+    if pace is None:
+        yield from (step / steps for step in range(first, steps))
+        return
+    if not steps:
+        return
+    yield 0.0
+    # The first step does what the others do now and then only (rays are traced anew), so it is left out of the mean.
+    stamps = deque([pace.clock()], maxlen=WINDOW + 1)
+    done, p = 1, 1.0 / steps
+    while p < 1.0 and stamps[-1] < ends_at:
+        yield p
+        done += 1
+        stamps.append(pace.clock())
+        each = max((stamps[-1] - stamps[0]) / (len(stamps) - 1), 1e-9)
+        left = steps - done if done <= FEWEST else min((ends_at - stamps[-1]) / each, pace.most * steps - done)
+        p = 1.0 if left < 1.0 else p + (1.0 - p) / (left + 1.0)
