@@ -9,21 +9,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from sira_assets.errors import InputError
-from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
+from sira_assets.texture.overlap import overlapping_pairs
+
+# A chart narrower than this holds hardly a texel that bilinear reading does not mix with its padding.
+_SLIVER_TEXELS = 4.0
 
 
 @dataclass(frozen=True)
 class AtlasReport:
-    """How the atlas came about.
+    """How the atlas came about, and how good it is.
 
     Parameters
     ----------
-    method : "xatlas", "uvatlas" or "boxes"
+    method : "uvatlas", "xatlas", "boxes", or several joined by " + "
     charts : connected pieces in the picture
     utilisation : share of the unit square that triangles cover
     seconds : time spent, tries that failed included
     stretch : area-weighted median of each face's texel density, worst over best axis (1: shape kept)
     attempts : one line for each method that was tried before and did not do, with the reason
+    stretch_95 : the same at the 95th percentile
+    sliver_share : share of the charts that are on average narrower than four texels
+    overlapping : faces whose interior meets another's (copies of a face and faces of no area not counted)
+    padding_texels : distance kept between charts; less than asked where they are too many for the picture
+    predicted_s : what it was expected to cost, seconds on an idle machine of two cores
     """
 
     method: str
@@ -32,6 +41,11 @@ class AtlasReport:
     seconds: float
     stretch: float
     attempts: tuple[str, ...] = ()
+    stretch_95: float = 1.0
+    sliver_share: float = 0.0
+    overlapping: int = 0
+    padding_texels: float = 0.0
+    predicted_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -124,3 +138,53 @@ def stretch(mesh: TriangleMesh, uv: np.ndarray, faces_uv: np.ndarray) -> np.ndar
     high = 0.5 * (a + c + root)
     determinant = np.abs(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0])
     return np.where(determinant > 0, high / np.maximum(determinant, 1e-300), np.inf)
+
+
+def measure_atlas(
+    mesh: TriangleMesh,
+    uv: np.ndarray,
+    faces_uv: np.ndarray,
+    number: np.ndarray,
+    *,
+    method: str,
+    attempts: tuple[str, ...],
+    padding_texels: float,
+    texture_size: int,
+    seconds: float,
+    predicted_s: float,
+) -> AtlasReport:
+    """The report of an atlas, measured on the faces `number` (those of some area, one of each)."""
+    faces = faces_uv[number]
+    names, chart = np.unique(chart_labels(faces, len(uv))[faces[:, 0]], return_inverse=True)
+    covered = np.abs(signed_uv_areas(uv, faces))
+    ratio = stretch(mesh, uv, faces_uv)[number]
+    weight = np.linalg.norm(face_cross_products(mesh.vertices, mesh.faces[number]), axis=1)
+    order = np.argsort(ratio)
+    reached = np.cumsum(weight[order])
+    median, high = (float(ratio[order[np.searchsorted(reached, q * reached[-1])]]) for q in (0.5, 0.95))
+    # Twice the area over the border: the width of a long strip, half that of a square.
+    width = texture_size * 2.0 * np.bincount(chart, covered) / np.maximum(_borders(uv, faces, chart, len(names)), 1e-300)
+    # Rounding of single precision, in which files keep coordinates, is no overlap.
+    pairs = overlapping_pairs(uv, faces, tolerance=1e-7)
+    return AtlasReport(
+        method=method,
+        charts=len(names),
+        utilisation=float(covered.sum()),
+        seconds=seconds,
+        stretch=median,
+        attempts=attempts,
+        stretch_95=high,
+        sliver_share=float((width < _SLIVER_TEXELS).mean()),
+        overlapping=len(np.unique(pairs)),
+        padding_texels=padding_texels,
+        predicted_s=predicted_s,
+    )
+
+
+def _borders(uv: np.ndarray, faces_uv: np.ndarray, chart: np.ndarray, count: int) -> np.ndarray:
+    """(count,) length of each chart's border."""
+    edges = np.sort(faces_uv[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
+    _, first, times = np.unique((edges[:, 0] << 32) | edges[:, 1], return_index=True, return_counts=True)
+    border = first[times == 1]
+    length = np.linalg.norm(uv[edges[border, 0]] - uv[edges[border, 1]], axis=1)
+    return np.bincount(chart[border // 3], length, count)

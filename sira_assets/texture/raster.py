@@ -43,7 +43,7 @@ def rasterise(
     -----
     What a row gets does not depend on the other rows asked for, so the picture may be made in bands of any height.
     """
-    corners = np.stack([uv[:, 0] * size, (1.0 - uv[:, 1]) * size], 1)[faces_uv]
+    number, corners = _near_band(uv, faces_uv, size, first_row, last_row)
     fine = corners * samples
     face, row, low, high = _centre_spans(fine, first_row * samples, last_row * samples)
     # A centre at c + 0.5 lies in [low, high) exactly when ceil(low - 0.5) <= c < ceil(high - 0.5).
@@ -59,10 +59,72 @@ def rasterise(
     texel = (row // samples + first_row) * size + column // samples
     touched = _touched(corners, size, first_row, last_row, texel)
     return AtlasSamples(
-        np.concatenate([face, touched.face]),
+        number[np.concatenate([face, touched.face])],
         np.concatenate([weights, touched.barycentric]),
         np.concatenate([texel, touched.texel]),
     )
+
+
+def border_texels(
+    uv: np.ndarray,
+    faces_uv: np.ndarray,
+    size: int,
+    *,
+    samples: int,
+    first_row: int,
+    last_row: int,
+    inner: np.ndarray,
+    reach: int,
+) -> tuple[AtlasSamples, np.ndarray]:
+    """Samples of the texels at charts' borders, in the plane of the face nearest to each, also beyond its edges.
+
+    Bilinear reading at a border looks up to a texel beyond it. What stands there should be the surface's own
+    continuation: a mean over the covered part alone is up to half a texel off, a neighbour's copy a whole one.
+
+    Parameters
+    ----------
+    samples : k; each such texel gets k x k samples
+    inner : (rows, S) bool, texels of the band that are wholly covered and need none
+    reach : texels beyond a face that are filled
+
+    Returns
+    -------
+    AtlasSamples : weights of the plane (negative, or above 1, beyond the face), texel after texel
+    (N, 3) float64 : weights of the face's point nearest to the texel's centre, the same for all samples of a texel
+    """
+    number, corners = _near_band(uv, faces_uv, size, first_row - reach, last_row + reach)
+    solid = np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > 1e-9
+    number, corners = number[solid], corners[solid]
+    face, row, low, high = _band_spans(corners, first_row, last_row, reach)
+    which, column = _expand(np.clip(np.floor(low), 0, size - 1), np.clip(np.floor(high), 0, size - 1) + 1)
+    open_ = ~inner[row[which] - first_row, column]
+    which, column = which[open_], column[open_]
+    face, texel = face[which], row[which] * size + column
+    centre = np.stack([texel % size + 0.5, texel // size + 0.5], 1)
+    weights, distance = _nearest_in_triangle(centre, corners[face])
+    order = np.lexsort((face, distance, texel))
+    _, first = np.unique(texel[order], return_index=True)
+    chosen = np.repeat(order[first], samples**2)
+    step = (np.arange(samples) + 0.5) / samples - 0.5
+    offset = np.tile(np.stack(np.meshgrid(step, step), -1).reshape(-1, 2), (len(first), 1))
+    plane = plane_weights(centre[chosen] + offset, corners[face[chosen]])
+    return AtlasSamples(number[face[chosen]], plane, texel[chosen]), weights[chosen]
+
+
+def plane_weights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(N, 3) weights of points (N, 2), which may lie outside, in the planes of triangles (N, 3, 2); sum 1."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    area = _cross(b - a, c - a)
+    safe = np.where(np.abs(area) > 0, area, 1.0)
+    wb, wc = _cross(points - a, c - a) / safe, _cross(b - a, points - a) / safe
+    return np.stack([1.0 - wb - wc, wb, wc], 1)
+
+
+def _near_band(uv: np.ndarray, faces_uv: np.ndarray, size: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the faces that reach into rows `first` to `last`, and their corners (N, 3, 2) in texels."""
+    y = ((1.0 - uv[:, 1]) * size)[faces_uv]
+    number = np.flatnonzero((y.min(1) <= last) & (y.max(1) >= first))
+    return number, np.stack([uv[:, 0] * size, (1.0 - uv[:, 1]) * size], 1)[faces_uv[number]]
 
 
 def _touched(corners: np.ndarray, size: int, first_row: int, last_row: int, filled: np.ndarray) -> AtlasSamples:
@@ -120,28 +182,25 @@ def _centre_spans(corners: np.ndarray, first: int, last: int):
     return face[crossed], row[crossed], low[crossed], high[crossed]
 
 
-def _band_spans(corners: np.ndarray, first: int, last: int):
-    """For each face and each row it touches at all: the extent [low, high] of its part within that row."""
+def _band_spans(corners: np.ndarray, first: int, last: int, reach: int = 0):
+    """For each face and each row within `reach` rows of it: the extent [low, high] of its part there, `reach` wider."""
     y = corners[..., 1]
-    face, row = _expand(np.clip(np.floor(y.min(1)), first, last), np.clip(np.floor(y.max(1)) + 1, first, last))
+    start, stop = np.floor(y.min(1)) - reach, np.floor(y.max(1)) + 1 + reach
+    face, row = _expand(np.clip(start, first, last), np.clip(stop, first, last))
     low, high = np.full(len(face), np.inf), np.full(len(face), -np.inf)
     for a, b in _edges(corners, face):
-        top, bottom = np.maximum(a[:, 1], row), np.minimum(b[:, 1], row + 1.0)
+        top, bottom = np.maximum(a[:, 1], row - reach), np.minimum(b[:, 1], row + 1.0 + reach)
         inside = top <= bottom
         flat = a[:, 1] == b[:, 1]
         for x in (np.where(flat, a[:, 0], _x_at(a, b, top)), np.where(flat, b[:, 0], _x_at(a, b, bottom))):
             low, high = np.where(inside, np.minimum(low, x), low), np.where(inside, np.maximum(high, x), high)
     touched = high >= low
-    return face[touched], row[touched], low[touched], high[touched]
+    return face[touched], row[touched], low[touched] - reach, high[touched] + reach
 
 
 def _barycentric(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(N, 3) weights of points (N, 2) inside triangles (N, 3, 2)."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    area = _cross(b - a, c - a)
-    safe = np.where(np.abs(area) > 0, area, 1.0)
-    wb, wc = _cross(points - a, c - a) / safe, _cross(b - a, points - a) / safe
-    weights = np.clip(np.stack([1.0 - wb - wc, wb, wc], 1), 0.0, 1.0)
+    weights = np.clip(plane_weights(points, triangles), 0.0, 1.0)
     return weights / weights.sum(1, keepdims=True)
 
 
@@ -169,19 +228,3 @@ def _nearest_in_triangle(points: np.ndarray, triangles: np.ndarray) -> tuple[np.
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
-
-def overlapping_faces(uv: np.ndarray, faces_uv: np.ndarray, size: int) -> np.ndarray:
-    """Faces that lose a sample to a lower numbered one: (N,) sorted indices; empty for an atlas without overlap.
-
-    Parameters
-    ----------
-    size : samples a side at which overlap is looked for
-    """
-    corners = np.stack([uv[:, 0] * size, (1.0 - uv[:, 1]) * size], 1)[faces_uv]
-    face, row, low, high = _centre_spans(corners, 0, size)
-    # A hundredth of a sample less on each side: rounding at a shared border is not an overlap.
-    which, column = _expand(np.clip(np.ceil(low - 0.49), 0, size), np.clip(np.ceil(high - 0.51), 0, size))
-    key = row[which] * size + column
-    order = np.lexsort((face[which], key))
-    again = key[order][1:] == key[order][:-1]
-    return np.unique(face[which][order][1:][again])

@@ -1,45 +1,46 @@
-"""The part of unwrapping that may hang or crash, run as a process of its own: python -m ... METHOD IN.npz OUT.npz.
+"""The part of unwrapping that may hang or crash, run as a process of its own: python -m ... METHOD FOLDER NUMBER...
 
 xatlas and UVAtlas hold the interpreter's lock, know no cancel, and end the process on some inputs; their caller
-(`unwrap`) kills this process when its time is up. In: vertices (V, 3), faces (F, 3), size, padding. Out: uv (T, 2),
-faces_uv (F, 3), and for xatlas the vertex behind each uv.
+(`unwrap_parts`) kills this process when its time is up, and keeps what it has written until then. In: in-NUMBER.npz with
+vertices (V, 3) and faces (F, 3). Out: out-NUMBER.npz with uv (T, 2) and faces_uv (F, 3); charts are not packed.
 """
 
+import os
 import sys
+from pathlib import Path
 
 import numpy as np
 
 
-def xatlas_atlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) -> tuple[np.ndarray, np.ndarray]:
-    """xatlas's charts and packing, scaled to a square of `size` texels with at least `padding` between charts."""
+def xatlas_charts(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """xatlas's charts."""
     import xatlas
 
     charts = xatlas.ChartOptions()
     charts.fix_winding = True
     packing = xatlas.PackOptions()
-    packing.padding = padding
-    packing.resolution = size
-    packing.bilinear = True
+    packing.padding = 1
+    packing.resolution = 1024
     # Its rotation by 90 degrees swaps u and v, which mirrors the chart: lettering and tangent frames would turn over.
     packing.rotate_charts = False
     atlas = xatlas.Atlas()
     atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
     atlas.generate(charts, packing, False)
     _, faces_uv, uv = atlas.get_mesh(0)
-    # xatlas picks its own rectangle near `size` and normalises each axis by it: back to texels, then one scale.
-    texels = np.asarray(uv, np.float64) * np.array([atlas.width, atlas.height])
-    return texels / max(atlas.width, atlas.height), np.asarray(faces_uv, np.int64)
+    # It picks its own rectangle and normalises each axis by it: back to texels, which are square.
+    return np.asarray(uv, np.float64) * (atlas.width, atlas.height), np.asarray(faces_uv, np.int64)
 
 
-def uvatlas_atlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) -> tuple[np.ndarray, np.ndarray]:
+def uvatlas_charts(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Open3D's UVAtlas; the input must be manifold."""
     import open3d
 
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     mesh = open3d.t.geometry.TriangleMesh(
         open3d.core.Tensor(vertices.astype(np.float32)), open3d.core.Tensor(faces.astype(np.int64))
     )
     # One partition takes minutes on some heads (101 s against 6 s at 25 thousand triangles); four cut twice the charts.
-    mesh.compute_uvatlas(size=size, gutter=float(padding), parallel_partitions=2, nthreads=1)
+    mesh.compute_uvatlas(size=1024, gutter=1.0, parallel_partitions=2, nthreads=1)
     corner_uv = mesh.triangle["texture_uvs"].numpy().astype(np.float64)
     # Corners of one vertex at one place are one atlas vertex.
     key = np.column_stack([faces.reshape(-1), corner_uv.reshape(-1, 2)])
@@ -47,15 +48,18 @@ def uvatlas_atlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: i
     return corner_uv.reshape(-1, 2)[first], inverse.reshape(-1, 3)
 
 
-METHODS = {"xatlas": xatlas_atlas, "uvatlas": uvatlas_atlas}
+METHODS = {"xatlas": xatlas_charts, "uvatlas": uvatlas_charts}
 
 
 def main(arguments: list[str]) -> int:
-    """Read, unwrap, write."""
-    method, source, target = arguments
-    with np.load(source, allow_pickle=False) as data:
-        uv, faces_uv = METHODS[method](data["vertices"], data["faces"], int(data["size"]), int(data["padding"]))
-    np.savez(target, uv=uv, faces_uv=faces_uv)
+    """Read, unwrap, write, one part after another."""
+    method, folder, *numbers = arguments
+    for number in numbers:
+        with np.load(Path(folder, f"in-{number}.npz"), allow_pickle=False) as data:
+            uv, faces_uv = METHODS[method](data["vertices"], data["faces"])
+        whole = Path(folder, f"part-{number}.npz")
+        np.savez(whole, uv=uv, faces_uv=faces_uv)
+        os.replace(whole, Path(folder, f"out-{number}.npz"))
     return 0
 
 

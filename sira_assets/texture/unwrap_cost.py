@@ -1,0 +1,30 @@
+"""What unwrapping will cost, before it is begun.
+
+Notation: F faces; seconds = a (F / 10000)^b on one core of a two-core laptop-class machine. Measured on generated heads
+(`tools/measure_unwrap.py`; docs/textures.md has the figures); a head with much relief costs up to twice as much.
+"""
+
+import numpy as np
+
+# (a, b) of one part.
+_CHARTS = {"uvatlas": (4.5, 1.0), "xatlas": (1.5, 1.5)}
+_START_S = 1.0  # a process with its imports
+_BOXES = (0.5, 1.0)
+# Overlap check, packing, report: what follows whatever the method.
+_AFTER = (0.6, 1.0)
+
+
+def predicted_seconds(method: str, faces: np.ndarray | list[int], workers: int = 1) -> float:
+    """Wall-clock seconds for parts of `faces` triangles each.
+
+    Parameters
+    ----------
+    method : "uvatlas", "xatlas", "boxes", or "after" for what follows the charts
+    workers : processes side by side, each on a core of its own
+    """
+    n = np.asarray(faces, np.float64) / 1e4
+    if method in _CHARTS:
+        a, b = _CHARTS[method]
+        return float((a * n**b).sum() / workers + _START_S) if n.size else 0.0
+    a, b = _BOXES if method == "boxes" else _AFTER
+    return float(a * n.sum() ** b)
