@@ -155,6 +155,7 @@ def _report(
         Metric("mask_iou", "silhouette overlap", float(both.sum() / max(union.sum(), 1)), "", "mask against render"),
         Metric("triangles", "triangles", float(len(avatar.mesh.faces)), "", "of the exported mesh", False, 0),
         Metric("charts", "charts", float(avatar.atlas.report.charts), "", f"by {avatar.atlas.report.method}", False, 0),
+        Metric("texture_size", "texels a side", float(avatar.textures.size), "", "of every map", False, 0),
         Metric("texture_utilisation", "texels used", 100 * avatar.atlas.report.utilisation, "%", "", False, 1),
         Metric("pose_change_deg", "pose refined by", journey.geometry.pose_change_deg, "degrees", "rotation"),
         Metric("pose_change_mm", "and moved by", 1000 * journey.geometry.pose_change_m, "mm", "mostly depth"),
@@ -175,7 +176,7 @@ def _report(
         maps=maps,
         curves=tuple(curves),
         metrics=metrics,
-        decisions=_decisions(journey),
+        decisions=_decisions(journey, settings),
         warnings=portrait.warnings + journey.doubts,
         settings=_flat(settings),
         seconds=journey.seconds,
@@ -199,7 +200,7 @@ def _exported_metrics(exported: ExportedView) -> tuple[Metric, ...]:
     )
 
 
-def _decisions(journey: Journey) -> tuple[Decision, ...]:
+def _decisions(journey: Journey, settings: Settings) -> tuple[Decision, ...]:
     atlas = journey.avatar.atlas.report
     pose = Decision(
         "head pose",
@@ -208,9 +209,14 @@ def _decisions(journey: Journey) -> tuple[Decision, ...]:
         if journey.portrait.pose_is_estimated
         else "canonical_from_world or 3D landmarks were given",
     )
+    size = journey.avatar.textures.size
+    how = (
+        f"{settings.texels_per_pixel:g} texels for each pixel of the photo" if settings.texels_per_pixel else "as asked"
+    )
+    texels = Decision("texture size", f"{size} x {size}", how)
     tried = "; ".join(atlas.attempts) or "first method asked, within its time and without faults"
     found = (Decision(d.what, d.chosen, d.evidence) for d in journey.appearance.decisions)
-    return (*found, pose, Decision("unwrap", atlas.method, tried))
+    return (*found, pose, texels, Decision("unwrap", atlas.method, tried))
 
 
 def _flat(config, prefix: str = "") -> tuple[tuple[str, object], ...]:

@@ -27,8 +27,11 @@ from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.render.shading import ROUGHNESS
 from sira_assets.render.view import ViewRender, render_view
 from sira_assets.render.visibility_table import surface_visibility
+from sira_assets.scene.camera import Camera
 from sira_assets.scene.portrait import Portrait
 from sira_assets.texture.bake import BakeConfig, bake
+from sira_assets.texture.texture_set import DEFAULT_MAPS, check_maps
+from sira_assets.texture.texture_size import photo_texture_size
 from sira_assets.texture.unwrap import UnwrapConfig, unwrap
 
 
@@ -45,6 +48,7 @@ class Settings:
     unwrap: UnwrapConfig = UnwrapConfig()
     bake: BakeConfig = BakeConfig()
     export: ExportConfig = ExportConfig()
+    texels_per_pixel: float | None = None  # where the photo decides the texture size; None: `bake.size` does
     seed: int = 0
 
 
@@ -66,6 +70,7 @@ def settings_for(
     quality: str,
     *,
     texture_size: int | None = None,
+    maps: tuple[str, ...] = (),
     max_triangles: int | None = None,
     shadows: bool = True,
     seed: int = 0,
@@ -74,6 +79,8 @@ def settings_for(
 
     Parameters
     ----------
+    texture_size : texels a side; None for what the photo's own pixels fill (draft half of it, high twice, a side)
+    maps : baked beside the default ones, of `texture_set.MAPS`
     shadows : whether the head casts shadows on itself, in the fit, in the bake and in the render
 
     Raises
@@ -84,16 +91,17 @@ def settings_for(
     if quality == "draft":
         g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
-        size, triangles, cell, samples = 512, 15000, 0.003, 1
+        density, triangles, cell, samples = 0.5, 15000, 0.003, 1
     elif quality == "standard":
-        size, triangles, cell, samples = 1024, 30000, 0.002, 2
+        density, triangles, cell, samples = 1.0, 30000, 0.002, 2
     elif quality == "high":
         g = replace(g, steps_codes=400, steps_networks=320, rays=2000, band_rays=600)
         a = replace(a, steps_refinement=1500, pixels=6000, max_surface=400000)
-        size, triangles, cell, samples = 2048, 60000, 0.0015, 3
+        density, triangles, cell, samples = 2.0, 60000, 0.0015, 3
     else:
         raise InputError(expected="draft, standard or high", received=quality, remedy="choose one of them")
-    size = texture_size or size
+    check_maps(maps)
+    size = texture_size or BakeConfig.size
     return Settings(
         quality,
         g,
@@ -101,9 +109,18 @@ def settings_for(
         ExtractConfig(cell_m=cell),
         max_triangles=max_triangles or triangles,
         unwrap=UnwrapConfig(texture_size=size),
-        bake=BakeConfig(size=size, samples=samples),
+        bake=BakeConfig(size=size, samples=samples, maps=tuple(dict.fromkeys((*DEFAULT_MAPS, *maps)))),
+        texels_per_pixel=None if texture_size else density,
         seed=seed,
     )
+
+
+def sized_for_photo(settings: Settings, mesh_world: TriangleMesh, camera: Camera) -> Settings:
+    """Settings with the texture size that the photo's pixels ask for, unless a size was asked for."""
+    if settings.texels_per_pixel is None:
+        return settings
+    size = photo_texture_size(mesh_world, camera, texels_per_pixel=settings.texels_per_pixel)
+    return replace(settings, unwrap=replace(settings.unwrap, texture_size=size), bake=replace(settings.bake, size=size))
 
 
 def run(
@@ -165,10 +182,11 @@ def run(
     head, light, pose = appearance.head, appearance.light, geometry.canonical_from_world
     shadows = stage("shadows", surface_visibility, surface, light, pose) if appearance.shadowed else None
     mesh = stage("simplify", simplify_mesh, surface, settings.max_triangles)
-    atlas = stage("unwrap", unwrap, mesh, settings.unwrap)
     to_world = np.linalg.inv(pose)
+    settings = sized_for_photo(settings, mesh.transformed(to_world), portrait.camera)
+    atlas = stage("unwrap", unwrap, mesh, settings.unwrap)
     there = (head, mesh, atlas, light, to_world)
-    textures = stage("bake", bake, *there, settings.bake, shadows=shadows, device=device)
+    textures = stage("bake", bake, *there, settings.bake, shadows=shadows, surface=surface, device=device)
     avatar = Avatar(
         mesh.transformed(to_world),
         atlas,

@@ -14,6 +14,17 @@ from pathlib import Path
 
 import _cli
 
+# Those every avatar has are not listed. Written out here since --help imports nothing.
+FURTHER_MAPS = ("occlusion", "position", "visibility", "radiance")
+
+
+def _size(text: str) -> int | None:
+    return None if text == "auto" else int(text)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
@@ -28,7 +39,14 @@ def parser() -> argparse.ArgumentParser:
     focal = p.add_mutually_exclusive_group()
     focal.add_argument("--focal-px", type=float, help="focal length in pixels; overrides the scene's")
     focal.add_argument("--fov", type=float, dest="fov_deg", metavar="DEG", help="horizontal field of view instead")
-    p.add_argument("--texture-size", type=int, help="texels a side, 64 to 8192")
+    p.add_argument(
+        "--texture-size",
+        type=_size,
+        default=None,
+        metavar="N",
+        help="texels a side, 64 to 8192; auto, the default: what the photo fills",
+    )
+    p.add_argument("--maps", type=_names, default=(), metavar="A,B", help="further maps: " + ", ".join(FURTHER_MAPS))
     p.add_argument("--max-triangles", type=int, help="at least 100")
     p.add_argument("--no-shadows", dest="shadows", action="store_false", help="light without the head's cast shadows")
     p.add_argument("--specular-form", choices=["color", "factor"], default="color", help="where the GLB keeps F0")
@@ -72,6 +90,7 @@ def body(args: argparse.Namespace) -> int:
     settings = settings_for(
         args.quality,
         texture_size=args.texture_size,
+        maps=args.maps,
         max_triangles=args.max_triangles,
         shadows=args.shadows,
         seed=args.seed,

@@ -15,6 +15,7 @@ from sira_assets.asset.export_config import ExportConfig
 from sira_assets.asset.glb_file import GlbFile
 from sira_assets.asset.jpeg import encode_jpeg
 from sira_assets.asset.png import encode_png
+from sira_assets.texture.texture_set import constant_map
 
 FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
 
@@ -90,7 +91,7 @@ def _texture(file: GlbFile, texels: np.ndarray, name: str, description: str, con
 
 
 def _constant(codes: np.ndarray, used: np.ndarray) -> bool:
-    return bool((codes[used] == codes[used][0]).all())
+    return constant_map(codes / 255.0, used) is not None
 
 
 def _largest(specular_f0: np.ndarray, used: np.ndarray) -> float:

@@ -25,6 +25,9 @@ class TextureFiles:
     irradiance: Path
     irradiance_exr: Path
     occlusion: Path | None = None
+    position: Path | None = None
+    radiance: Path | None = None
+    visibility: tuple[Path, ...] = ()
 
 
 def write_textures(textures: TextureSet, folder: str | Path) -> TextureFiles:
@@ -32,7 +35,7 @@ def write_textures(textures: TextureSet, folder: str | Path) -> TextureFiles:
 
     PNG: diffuse sRGB(a); specular ks = s / 0.04 on a linear scale 0..2; normal (n + 1) / 2, +Y up; irradiance
     sRGB(E / E_white), for looking at, with E_white in the metadata; occlusion, if it was baked, linear. EXR: specular
-    F0, normal and irradiance in float32.
+    F0, normal and irradiance in float32; position, radiance and each lobe's visibility where they were baked.
 
     Parameters
     ----------
@@ -71,6 +74,23 @@ def write_textures(textures: TextureSet, folder: str | Path) -> TextureFiles:
         (files.irradiance_exr, textures.irradiance, colour_header("irradiance of the estimated light")),
     ):
         write_exr(path, np.ascontiguousarray(values, np.float32), header=header)
+    return _write_further(textures, folder, files)
+
+
+def _write_further(textures: TextureSet, folder: Path, files: TextureFiles) -> TextureFiles:
+    """The maps that are baked on request only, as EXR."""
+    if textures.position is not None:
+        files = replace(files, position=folder / "position.exr")
+        write_exr(files.position, textures.position, header=data_header("position, scene world, R G B = x y z"))
+    if textures.radiance is not None:
+        files = replace(files, radiance=folder / "radiance.exr")
+        write_exr(files.radiance, textures.radiance, header=colour_header("radiance seen along the normal"))
+    if textures.visibility is not None:
+        count = textures.visibility.shape[-1]
+        files = replace(files, visibility=tuple(folder / f"visibility_{k:02d}.exr" for k in range(count)))
+        for k, path in enumerate(files.visibility):
+            said = data_header(f"share of the light of lobe {k} of lights.json that arrives")
+            write_exr(path, np.ascontiguousarray(textures.visibility[..., k]), header=said)
     return files
 
 

@@ -163,7 +163,9 @@ def measure_atlas(
     reached = np.cumsum(weight[order])
     median, high = (float(ratio[order[np.searchsorted(reached, q * reached[-1])]]) for q in (0.5, 0.95))
     # Twice the area over the border: the width of a long strip, half that of a square.
-    width = texture_size * 2.0 * np.bincount(chart, covered) / np.maximum(_borders(uv, faces, chart, len(names)), 1e-300)
+    width = (
+        texture_size * 2.0 * np.bincount(chart, covered) / np.maximum(_borders(uv, faces, chart, len(names)), 1e-300)
+    )
     # Rounding of single precision, in which files keep coordinates, is no overlap.
     pairs = overlapping_pairs(uv, faces, tolerance=1e-7)
     return AtlasReport(

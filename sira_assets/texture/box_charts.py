@@ -49,7 +49,9 @@ def box_charts(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
         open_ = open_[touched]
     # One atlas vertex for each mesh vertex in each chart.
     chart = edge_charts(faces, layer).astype(np.int64)
-    _, first, inverse = np.unique((np.repeat(chart, 3) << 32) | faces.reshape(-1), return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(
+        (np.repeat(chart, 3) << 32) | faces.reshape(-1), return_index=True, return_inverse=True
+    )
     return flat.reshape(-1, 2)[first], inverse.reshape(-1, 3)
 
 

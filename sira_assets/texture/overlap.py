@@ -97,7 +97,9 @@ def _candidates(low: np.ndarray, high: np.ndarray, group: np.ndarray):
         asked, asker = _cells(low[asking], high[asking], origin, cell, group[asking])
         begin, end = np.searchsorted(key, asked, "left"), np.searchsorted(key, asked, "right")
         count = end - begin
-        bounds = np.searchsorted(np.cumsum(count), np.arange(_PAIRS_AT_ONCE, count.sum() + _PAIRS_AT_ONCE, _PAIRS_AT_ONCE))
+        bounds = np.searchsorted(
+            np.cumsum(count), np.arange(_PAIRS_AT_ONCE, count.sum() + _PAIRS_AT_ONCE, _PAIRS_AT_ONCE)
+        )
         start = 0
         for stop in (bounds + 1).tolist():
             some = slice(start, stop)

@@ -8,6 +8,7 @@ are boxes and fill what is left. Places are taken lowest first (bottom-left; Bak
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def _outlines(points: np.ndarray, faces_uv: np.ndarray, chart: np.ndarray, grid:
     name = chart[border[which, 0]]
     order = np.argsort(name, kind="stable")
     ends = np.searchsorted(name[order], np.arange(int(chart.max()) + 2))
-    return [along[order[i:j]] for i, j in zip(ends[:-1], ends[1:], strict=True)]
+    return [along[order[i:j]] for i, j in pairwise(ends)]
 
 
 def _area(points: np.ndarray, faces_uv: np.ndarray) -> float:
@@ -179,7 +180,7 @@ def _mask(outline: np.ndarray, margin: float) -> np.ndarray:
     steps = max(1, int(np.ceil(reach)))
     for dx in np.linspace(-reach, reach, 2 * steps + 1):
         for dy in np.linspace(-reach, reach, 2 * steps + 1):
-            cell = np.clip(np.floor(outline + (dx, dy)).astype(int), 0, shape - 1)
+            cell = np.clip(np.floor(outline + np.array([dx, dy])).astype(int), 0, shape - 1)
             mask[cell[:, 1], cell[:, 0]] = True
     return binary_fill_holes(mask)
 

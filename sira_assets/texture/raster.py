@@ -227,4 +227,3 @@ def _nearest_in_triangle(points: np.ndarray, triangles: np.ndarray) -> tuple[np.
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-

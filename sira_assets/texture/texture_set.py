@@ -67,16 +67,16 @@ class TextureSet:
 
 
 def check_maps(names: tuple[str, ...]) -> None:
-    """Refuse names that are no map's, or none at all.
+    """Refuse names that are no map's.
 
     Raises
     ------
     InputError
     """
     wrong = [name for name in names if name not in MAPS]
-    if wrong or not names:
+    if wrong:
         raise InputError(
-            expected="maps among " + ", ".join(MAPS), received=", ".join(wrong) or "none", remedy="ask for some of them"
+            expected="maps among " + ", ".join(MAPS), received=", ".join(wrong), remedy="ask for some of them"
         )
 
 

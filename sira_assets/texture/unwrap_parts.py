@@ -59,7 +59,9 @@ def split_parts(vertices: np.ndarray, faces: np.ndarray, piece: np.ndarray, most
     return part
 
 
-def unwrap_parts(method: str, parts: list[Part], seconds: float, workers: int) -> list[tuple[np.ndarray, np.ndarray] | str]:
+def unwrap_parts(
+    method: str, parts: list[Part], seconds: float, workers: int
+) -> list[tuple[np.ndarray, np.ndarray] | str]:
     """uv and faces_uv of each part by one method, or the reason why not.
 
     Parameters

@@ -1,8 +1,8 @@
 """The part of unwrapping that may hang or crash, run as a process of its own: python -m ... METHOD FOLDER NUMBER...
 
 xatlas and UVAtlas hold the interpreter's lock, know no cancel, and end the process on some inputs; their caller
-(`unwrap_parts`) kills this process when its time is up, and keeps what it has written until then. In: in-NUMBER.npz with
-vertices (V, 3) and faces (F, 3). Out: out-NUMBER.npz with uv (T, 2) and faces_uv (F, 3); charts are not packed.
+(`unwrap_parts`) kills this process when its time is up, and keeps what it has written until then. In: in-NUMBER.npz
+with vertices (V, 3) and faces (F, 3). Out: out-NUMBER.npz with uv (T, 2) and faces_uv (F, 3); charts are not packed.
 """
 
 import os

@@ -1,0 +1,122 @@
+"""What a bake is measured by: a material that is known everywhere, and how a baked map of it reads.
+
+Notation: x canonical metres; red a smooth wave, green a checker of cubes, blue linear in x. A viewer reads maps
+bilinearly; the checker is read by the texel that holds the point, so that reading adds no blur of its own.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from sira_assets.fields.head_field import HeadField
+from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.texture.atlas import Atlas
+
+WAVE_M, CUBE_M = 0.1, 0.01
+_WAVE = torch.nn.functional.normalize(torch.tensor([1.0, 2.0, -1.5]), dim=0)
+# Cubes start off the planes of symmetry.
+_SHIFT_M = 0.0013
+
+
+@dataclass(frozen=True)
+class KnownMaterial:
+    """Another head's surface under the known material."""
+
+    base: HeadField
+
+    def sdf(self, x_canonical: torch.Tensor) -> torch.Tensor:
+        """The head's own."""
+        return self.base.sdf(x_canonical)
+
+    def material(self, x_canonical: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The wave, the checker and the linear function; F0 of skin."""
+        wave = 0.5 + 0.5 * torch.sin(2.0 * torch.pi / WAVE_M * (x_canonical @ _WAVE))
+        cubes = torch.floor((x_canonical + _SHIFT_M) / CUBE_M).sum(-1)
+        colours = torch.stack([wave, torch.remainder(cubes, 2.0), 0.5 + x_canonical[:, 1]], -1)
+        return colours, torch.full_like(wave, 0.028)
+
+
+def known_colours(points: np.ndarray) -> np.ndarray:
+    """(N, 3) the known material at points (N, 3)."""
+    x = torch.as_tensor(points, dtype=torch.float64)
+    wave = 0.5 + 0.5 * torch.sin(2.0 * torch.pi / WAVE_M * (x @ _WAVE.double()))
+    cubes = torch.floor((x + _SHIFT_M) / CUBE_M).sum(-1)
+    return torch.stack([wave, torch.remainder(cubes, 2.0), 0.5 + x[:, 1]], -1).numpy()
+
+
+def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(N, C) a map (S, S, C), row 0 on top, read at uv with origin bottom-left."""
+    size = len(texture)
+    x, y = uv[:, 0] * size - 0.5, (1.0 - uv[:, 1]) * size - 0.5
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - i)[:, None], (y - j)[:, None]
+    at = lambda r, c: texture[np.clip(r, 0, size - 1), np.clip(c, 0, size - 1)]  # noqa: E731
+    low, high = (at(r, i) * (1 - fx) + at(r, i + 1) * fx for r in (j, j + 1))
+    return low * (1 - fy) + high * fy
+
+
+def holding(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(N, C) the texel that holds each point."""
+    size = len(texture)
+    row, column = ((1.0 - uv[:, 1]) * size).astype(int), (uv[:, 0] * size).astype(int)
+    return texture[np.clip(row, 0, size - 1), np.clip(column, 0, size - 1)]
+
+
+def seam_points(mesh: TriangleMesh, atlas: Atlas, per_edge: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """uv (N, 2) of the same points on both sides of every seam."""
+    corner = [0, 1, 1, 2, 2, 0]
+    edges, edges_uv = (f[:, corner].reshape(-1, 2) for f in (mesh.faces, atlas.faces_uv))
+    turned = edges[:, 0] > edges[:, 1]
+    edges, edges_uv = (np.where(turned[:, None], e[:, ::-1], e) for e in (edges, edges_uv))
+    key = (edges[:, 0] << 32) | edges[:, 1]
+    order = np.argsort(key, kind="stable")
+    one, other = order[:-1], order[1:]
+    seam = (key[one] == key[other]) & (edges_uv[one] != edges_uv[other]).any(1)
+    t = ((np.arange(per_edge) + 0.5) / per_edge)[None, :, None]
+    sides = []
+    for side in (one[seam], other[seam]):
+        a, b = (atlas.uv[edges_uv[side, k]][:, None] for k in range(2))
+        sides.append((a + t * (b - a)).reshape(-1, 2))
+    return sides[0], sides[1]
+
+
+def surface_points(mesh: TriangleMesh, atlas: Atlas, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Random points (N, 3) of the surface, even in area, and their uv."""
+    rng = np.random.default_rng(seed)
+    corners = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    face = rng.choice(len(area), count, p=area / area.sum())
+    weights = rng.dirichlet(np.ones(3), count)[..., None]
+    return (corners[face] * weights).sum(1), (atlas.uv[atlas.faces_uv[face]] * weights).sum(1)
+
+
+def bake_figures(texture: np.ndarray, mesh: TriangleMesh, atlas: Atlas, exact: np.ndarray, uv: np.ndarray) -> dict:
+    """Figures of one baked map of the known material.
+
+    Parameters
+    ----------
+    texture : (S, S, 3)
+    exact : (N, 3) points of the surface that the map is to show at uv (N, 2)
+    """
+    corners = mesh.vertices[mesh.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    texel = float(np.sqrt(area / atlas.report.utilisation) / len(texture))
+    true = known_colours(exact)
+    one, other = seam_points(mesh, atlas)
+    seam = np.abs(bilinear(texture, one) - bilinear(texture, other))[:, 0]
+    wave = np.abs(bilinear(texture, uv)[:, 0] - true[:, 0])
+    wrong = np.abs(holding(texture, uv)[:, 1] - true[:, 1]) > 0.5
+    to_plane = np.abs(np.mod((exact + _SHIFT_M) / CUBE_M + 0.5, 1.0) - 0.5).min(1) * CUBE_M / texel
+    return {
+        "texel, mm": 1e3 * texel,
+        "seam points": len(seam),
+        "seam difference of the wave, codes of 255: 99 %": 255 * float(np.percentile(seam, 99)),
+        "seam difference of the wave, codes of 255: greatest": 255 * float(seam.max()),
+        "seam points within 1 code, %": 100 * float((seam <= 1 / 255).mean()),
+        "wave off, in texels of its steepest slope: 99 %": float(np.percentile(wave, 99) / (np.pi / WAVE_M * texel)),
+        "wave off, in texels of its steepest slope: greatest": float(wave.max() / (np.pi / WAVE_M * texel)),
+        "checker wrong, % of points": 100 * float(wrong.mean()),
+        "checker wrong furthest from an edge, texels": float(to_plane[wrong].max(initial=0.0)),
+        "checker wrong beyond one texel, points": int((to_plane[wrong] > 1.0).sum()),
+    }
