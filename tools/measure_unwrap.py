@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--torture", action="store_true", help="the torture set too")
     p.add_argument("--seed", type=int, default=0, help="which generated head (0)")
     p.add_argument("--size", type=int, default=1024, help="texels a side (1024)")
-    p.add_argument("--budget", type=float, default=120.0, metavar="S", help="seconds for each (120)")
+    p.add_argument("--budget", type=float, default=240.0, metavar="S", help="seconds for each (240)")
     p.add_argument("--part", type=int, metavar="F", help="faces unwrapped together at most")
     p.add_argument("--methods", nargs="*", choices=["uvatlas", "xatlas"], help="instead of both in turn; none: boxes")
     p.add_argument("--plain", type=float, metavar="S", help="xatlas alone too, at most so many seconds")
@@ -45,7 +45,7 @@ def body(arguments: argparse.Namespace) -> int:
 
     config = UnwrapConfig(texture_size=arguments.size, budget_s=arguments.budget)
     if arguments.part:
-        config = replace(config, part_faces=arguments.part)
+        config = replace(config, part_faces=arguments.part, whole_faces=arguments.part)
     if arguments.methods is not None:
         config = replace(config, methods=tuple(arguments.methods))
     figures, last = {}, None

@@ -33,14 +33,16 @@ class UnwrapConfig:
     padding : least distance between charts, texels; 4 keeps two mip levels apart
     methods : tried in this order in processes of their own; box charts, which cannot fail, follow by themselves
     budget_s : seconds for all of it. A method whose predicted cost is beyond what is left is not begun
-    part_faces : larger surfaces are cut into parts of at most this many faces, unwrapped side by side
+    whole_faces : surfaces of up to this many faces are unwrapped in one piece
+    part_faces : larger ones are cut into parts of at most this many, unwrapped side by side
     workers : processes at once
     """
 
     texture_size: int = 1024
     padding: int = 4
     methods: tuple[str, ...] = ("uvatlas", "xatlas")
-    budget_s: float = 120.0
+    budget_s: float = 240.0
+    whole_faces: int = 65000
     part_faces: int = 25000
     workers: int = 2
 
@@ -90,11 +92,13 @@ def _charts(
 ) -> tuple[_Charts, str, tuple[str, ...], float]:
     """Charts of every part by the first method that manages it, the methods' names, what failed, the predicted cost."""
     faces, vertex = cut_open(sound.faces)
-    part = split_parts(sound.vertices[vertex], faces, face_pieces(faces), config.part_faces)
+    most = config.whole_faces if len(faces) <= config.whole_faces else config.part_faces
+    part = split_parts(sound.vertices[vertex], faces, face_pieces(faces), most)
     members = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
     left, done, attempts, used = list(range(len(members))), [], [], []
-    # A machine that is busy gives this process a share only, and will give no more to what follows.
-    slowness = max(1.0, (time.monotonic() - start) / max(time.process_time() - start_cpu, 1e-3))
+    # A machine that is busy gives this process a share only, and will give no more to what follows. Judged over little
+    # time that is mostly chance, hence one second on an idle machine is counted in.
+    slowness = max(1.0, (1.0 + time.monotonic() - start) / (1.0 + time.process_time() - start_cpu))
     after = predicted_seconds("boxes", [len(faces)]) + predicted_seconds("after", [len(faces)])
     after *= slowness
     predicted = predicted_seconds("after", [len(faces)])
