@@ -19,14 +19,14 @@ def ellipsoid():
     return extract_mesh(EllipsoidHead(), ExtractConfig(cell_m=0.01))
 
 
-def soup(seed, faces=300):
+def soup(seed, faces=100):
     rng = np.random.default_rng(seed)
     return TriangleMesh(rng.standard_normal((3 * faces, 3)), np.arange(3 * faces).reshape(-1, 3))
 
 
 def tangle():
     rng = np.random.default_rng(3)
-    return TriangleMesh(rng.standard_normal((40, 3)), np.array([rng.choice(40, 3, replace=False) for _ in range(300)]))
+    return TriangleMesh(rng.standard_normal((40, 3)), np.array([rng.choice(40, 3, replace=False) for _ in range(120)]))
 
 
 def with_faults(mesh):
