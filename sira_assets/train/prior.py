@@ -63,6 +63,7 @@ def train_prior(
     device: str | torch.device = "cpu",
     resume: bool = False,
     workers: int = 2,
+    stacks: Path | None = None,
     progress=None,
 ) -> Prior:
     """Train both models on the scenes below some folders and write the prior to `out`.
@@ -73,6 +74,7 @@ def train_prior(
     ----------
     scenes : folders of scenes with gt/mesh.ply and gt/landmarks.json: generated ones, imported scans, or both
     run : folder of checkpoints, loss curves and stacked samples; `resume` goes on from it exactly
+    stacks : folder of stacked samples, where several runs share them; `run` if None
     progress : a rich Progress, or None
 
     Raises
@@ -81,7 +83,7 @@ def train_prior(
     """
     with joined_share(device) as share:
         progress = progress if share.leads else None
-        data, scenes_are = _samples(scenes, Path(run), config, workers, progress, share)
+        data, scenes_are = _samples(scenes, Path(stacks or run), config, workers, progress, share)
         if torch.device(device).type == "cuda" and _bytes(data) < 0.5 * torch.cuda.mem_get_info()[0]:
             data = data.to(device)
         log = TrainingLog(Path(run) / "curves.jsonl", progress)
@@ -129,12 +131,12 @@ def train_prior(
 
 
 def _samples(
-    scenes: Sequence[Path], run: Path, config: PriorConfig, workers: int, progress, share: Share
+    scenes: Sequence[Path], stacks: Path, config: PriorConfig, workers: int, progress, share: Share
 ) -> tuple[SampleTensors, str]:
     """All scenes' samples, memory-mapped, and the digest that names them; drawn by the first process only."""
     seed = config.shape.seed
     scenes_are = scenes_digest(scenes)
-    stacked = run / f"samples-{digest(scenes_are, config.samples, seed)}"
+    stacked = stacks / f"samples-{digest(scenes_are, config.samples, seed)}"
     if share.leads:
         names = list_scenes(scenes)
         task = progress.add_task("samples", total=len(names)) if progress is not None else None
