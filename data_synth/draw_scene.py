@@ -14,7 +14,7 @@ from data_synth.render import Occluder, RayScene, RenderConfig, Surface, render
 from data_synth.scan_back import without_back
 from data_synth.scene_light import sample_scene_light
 from data_synth.scene_settings import SceneSettings
-from data_synth.subject import Subject, procedural_subject
+from data_synth.subject import SkinTone, Subject, procedural_subject
 from data_synth.truth import full_truth
 from data_synth.write_scene import SynthScene
 from sira_assets.mesh.raycast import Raycaster
@@ -28,12 +28,17 @@ FACE_RADIUS_M = 0.095  # around the nose tip, as measured regions have it
 
 
 @one_thread
-def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
-    """Draw and render scene `index`; a pure function of its arguments (and of a scan's files)."""
+def draw_scene(settings: SceneSettings, index: int, *, tone: SkinTone | None = None) -> SynthScene:
+    """Draw and render scene `index`; a pure function of its arguments (and of a scan's files).
+
+    Parameters
+    ----------
+    tone : other skin for a procedural head; pose, cameras and light stay what they are for every `tone.melanin`
+    """
     streams = settings.stream(index).spawn(5)
     rng_head, rng_pose, rng_light, rng_render, rng_truth = (np.random.default_rng(child) for child in streams)
     if settings.scan is None:
-        subject = procedural_subject(rng_head)
+        subject = procedural_subject(rng_head, tone)
     else:
         from data_synth.import_scan import scan_subject
 
@@ -49,7 +54,8 @@ def draw_scene(settings: SceneSettings, index: int) -> SynthScene:
     rotation = world_from_canonical[:3, :3] / similarity_scale(world_from_canonical)
     roughness = float(rng_light.uniform(*ROUGHNESS_RANGE))
     mesh = subject.mesh.transformed(world_from_canonical)
-    lit = (mesh, subject.vertex_albedo, face, rotation)
+    metered = subject.vertex_albedo if subject.metered_albedo is None else subject.metered_albedo
+    lit = (mesh, metered, face, rotation)
     first, second = sample_scene_light(rng_light, *lit, settings.panoramas), sample_scene_light(rng_light, *lit)
     light = first.gaussians
     closed = mesh if subject.closed is subject.mesh else subject.closed.transformed(world_from_canonical)

@@ -3,13 +3,19 @@
 Notation: metres, canonical head frame; V vertices of the welded mesh, U of the one that is rendered.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_synth.render import Material
 from sira_assets.mesh.triangle_mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    from data_synth.head.params import HeadParams
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class Subject:
     closed : watertight mesh for signed distances, its first faces those of `mesh`; `mesh` itself where that is closed
     scale : world metres per canonical metre, or None where it is drawn
     around_yaw_deg : cameras turn no farther, or None for as far as cameras go
+    metered_albedo : (V, 3) that the light is exposed for, or None for `vertex_albedo`
     provenance : for gt/provenance.json
     """
 
@@ -48,15 +55,30 @@ class Subject:
     scale: float | None
     around_yaw_deg: float | None
     provenance: Mapping[str, object]
+    metered_albedo: np.ndarray | None = None
 
 
-def procedural_subject(rng: np.random.Generator) -> Subject:
-    """Draw a head from the generator's population."""
+@dataclass(frozen=True)
+class SkinTone:
+    """Melanin of the skin in place of the drawn one, and the melanin that the light is exposed for: scenes that differ
+    in `melanin` alone show one person, otherwise the same, under one light."""
+
+    melanin: float
+    metered: float
+
+
+def procedural_subject(rng: np.random.Generator, tone: SkinTone | None = None) -> Subject:
+    """Draw a head from the generator's population; `tone` changes its skin afterwards, and nothing else."""
     from data_synth.head.build import build_head
-    from data_synth.head.material import Region, region_of
+    from data_synth.head.material import Region, evaluate_material, region_of
     from data_synth.head.params import sample_params
 
-    head = build_head(sample_params(rng))
+    params, metered = sample_params(rng), None
+    if tone is not None:
+        params = with_melanin(params, tone.melanin)
+    head = build_head(params)
+    if tone is not None:
+        metered, _ = evaluate_material(head.template_positions_m, with_melanin(params, tone.metered))
     mesh = TriangleMesh(head.vertices_m, head.faces)
     albedo, _ = head.material(head.template_positions_m)
     return Subject(
@@ -74,7 +96,13 @@ def procedural_subject(rng: np.random.Generator) -> Subject:
         scale=None,
         around_yaw_deg=None,
         provenance={"head": plain(asdict(head.params))},
+        metered_albedo=metered,
     )
+
+
+def with_melanin(params: HeadParams, melanin: float) -> HeadParams:
+    """The same head with other skin; hair and eyes keep their colour."""
+    return replace(params, pigment=replace(params.pigment, melanin=melanin))
 
 
 def plain(value: object) -> object:

@@ -97,22 +97,24 @@ def timed(seconds: dict[str, float], name: str, function: Callable, *arguments):
     return out
 
 
-def face_errors(shape: Shape, scene: Scene, *, samples: int = SAMPLES) -> dict[str, float]:
-    """Mean distances of the face, mm: placed, pred_to_gt, seen, unseen, after_icp; and of the whole head: head."""
+def face_errors(shape: Shape, scene: Scene) -> dict[str, float]:
+    """Mean distances of the face, mm: placed, pred_to_gt, seen, unseen, after_icp (rigid), after_similarity; and of the
+    whole head: head."""
     from sira_assets.measure.protocols import PRED_TO_GT, ProtocolConfig, measure_prepared
 
     unit = shape.portrait.metres_per_unit
     world_from_canonical = np.diag([unit, unit, unit, 1.0]) @ shape.portrait.world_from_canonical
     pred = shape.surface.transformed(world_from_canonical)
-    config = ProtocolConfig(samples=samples)
+    config = ProtocolConfig(samples=SAMPLES)
     placed = measure_prepared(pred, scene.truth, config)
-    aligned = measure_prepared(pred, scene.truth, replace(config, align="rigid"))
+    kinds = {"after_icp": "rigid", "after_similarity": "similarity"}
+    aligned = {n: measure_prepared(pred, scene.truth, replace(config, align=kind)) for n, kind in kinds.items()}
     found = {
         "placed": placed.distances("face"),
         "pred_to_gt": placed.distances("face", PRED_TO_GT),
         "seen": placed.distances("face", seen="seen"),
         "unseen": placed.distances("face", seen="unseen"),
-        "after_icp": aligned.distances("face"),
+        **{name: report.distances("face") for name, report in aligned.items()},
         "head": placed.distances("head"),
     }
     return {name: summary.mean_mm for name, summary in found.items() if summary is not None}

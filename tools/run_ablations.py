@@ -34,6 +34,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--priors-only", action="store_true", help="train, and stop there")
     out.add_argument("--seed", type=int, default=0)
     out.add_argument("--table", type=Path, metavar="FILE", help="also write every figure, .json or .csv")
+    out.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     out.add_argument("--quiet", action="store_true", help="no word on stderr")
     return out
 
@@ -62,7 +63,12 @@ def ablate(a: argparse.Namespace) -> int:
         figures += score_scene(a, rows, priors, *measurement.scene_and_truth(argument))
     if a.table:
         measurement.write_rows(a.table, figures)
-    print_tables(rows, figures)
+    if a.json:
+        import json
+
+        print(json.dumps(figures, indent=1))
+    else:
+        print_tables(rows, figures)
     return 0
 
 

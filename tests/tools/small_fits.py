@@ -8,6 +8,8 @@ from sira_assets.fit.appearance_losses import AppearanceFitConfig
 from sira_assets.fit.geometry import GeometryFitConfig
 from sira_assets.mesh.extract import ExtractConfig
 from sira_assets.pipeline import Settings
+from sira_assets.texture.bake import BakeConfig
+from sira_assets.texture.unwrap import UnwrapConfig
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
@@ -20,7 +22,16 @@ def tiny_settings(quality="draft", *, seed=0, **ignored) -> Settings:
     appearance = AppearanceFitConfig(
         steps_light=3, steps_albedo=3, steps_specular=3, steps_refinement=3, pixels=100, shadows=False, seed=seed
     )
-    return Settings(quality, geometry, appearance, ExtractConfig(cell_m=0.01), seed=seed)
+    return Settings(
+        quality,
+        geometry,
+        appearance,
+        ExtractConfig(cell_m=0.01),
+        max_triangles=500,
+        unwrap=UnwrapConfig(texture_size=64, methods=()),
+        bake=BakeConfig(size=64, samples=1),
+        seed=seed,
+    )
 
 
 def make_scenes(out: Path, egg: Path, *arguments) -> Path:

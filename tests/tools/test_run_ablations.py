@@ -13,10 +13,12 @@ def tool(monkeypatch):
     """`tools/run_ablations.py` as a module, its fits of a few steps."""
     monkeypatch.syspath_prepend(str(TOOLS))
     import _ablations
+    import _fit_measurement
     import run_ablations
 
     from sira_assets import pipeline
 
+    monkeypatch.setattr(_fit_measurement, "SAMPLES", 1000)
     monkeypatch.setattr(_ablations, "settings_for", tiny_settings)
     monkeypatch.setattr(pipeline, "settings_for", tiny_settings)
     return run_ablations
@@ -58,7 +60,7 @@ def test_no_scenes_to_train_on_is_bad_input(tool, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_from_scenes_to_the_table_and_on_from_what_is_there(tool, egg, tmp_path, capsys, monkeypatch):
-    scenes = make_scenes(tmp_path / "scenes", egg, "--count", 2, "--views", 1, "--size", 64)
+    scenes = make_scenes(tmp_path / "scenes", egg, "--count", 1, "--views", 1, "--size", 64)
     table = tmp_path / "table.json"
     command = [str(scenes / "egg_000000"), "--train", str(scenes), "--out", str(tmp_path / "out"), "--quiet"]
     command += ["--steps", "2", "--appearance-steps", "1", "--workers", "1", "--table", str(table)]
