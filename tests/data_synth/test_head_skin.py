@@ -88,3 +88,19 @@ def test_chroma_is_highest_in_the_middle_of_the_range():
     assert 5 < chroma.argmax() < 36
     assert chroma.max() > chroma[0] + 4
     assert chroma.max() > chroma[-1] + 4
+
+
+@pytest.mark.slow
+def test_a_tone_changes_the_skin_alone_and_not_what_the_light_is_exposed_for():
+    from data_synth.subject import SkinTone, procedural_subject
+
+    light, dark = (procedural_subject(np.random.default_rng(7), SkinTone(m, metered=0.05)) for m in (0.01, 0.2))
+    np.testing.assert_array_equal(light.mesh.vertices, dark.mesh.vertices)
+    np.testing.assert_array_equal(light.metered_albedo, dark.metered_albedo)
+    region = light.regions(light.material_coordinates)
+    np.testing.assert_array_equal(region, dark.regions(dark.material_coordinates))
+    skin = region == next(number for number, name in light.region_names.items() if name == "skin")
+    cloth = region == next(number for number, name in light.region_names.items() if name == "cloth")
+    assert light.vertex_albedo[skin].mean() > 2.0 * dark.vertex_albedo[skin].mean()
+    # What is half covered by cloth shows a little skin through its edge.
+    assert abs(light.vertex_albedo[cloth] - dark.vertex_albedo[cloth]).mean() < 0.02

@@ -203,22 +203,3 @@ def test_an_open_or_empty_avatar_is_not_sane(scene):
     assert "3 open edges" in insane(journey)[0]
     journey.surface, view.final = mesh, np.full((2, 2, 3), np.nan)
     assert insane(journey) == ["radiance"]
-
-
-@pytest.mark.slow
-def test_tones_differ_in_skin_alone(tmp_path):
-    from _measure_fairness import write_tones
-
-    from sira_assets.scene.image import read_image
-
-    drawn = write_tones(tmp_path, range(1), size=48, samples=4, seed=3)
-    folders = {tone: folder for _, tone, folder in drawn}
-    for name in ("gt/lights.json", "gt/mesh.ply", "mask.png", "transforms.json", "gt/regions/000.png"):
-        contents = {(folder / name).read_bytes() for folder in folders.values()}
-        if name == "gt/mesh.ply":  # it carries vertex colours; positions are the same
-            import trimesh
-
-            contents = {trimesh.load(f / name, process=False).vertices.tobytes() for f in folders.values()}
-        assert len(contents) == 1, name
-    means = [read_image(folders[tone] / "gt" / "albedo.exr").linear.mean() for tone in ("light", "middle", "dark")]
-    assert means == sorted(means, reverse=True)
