@@ -39,6 +39,7 @@ def form_json(scene: ViewerScene) -> str:
         "pivot": scene.pivot.tolist(),
         "radius": scene.radius,
         "white_f0": F0_OF_IOR_1_5 * KS_RANGE,
+        "white_light": scene.brightest,
         "lobes": _lobes(scene.light),
         "albedo": [_albedo(r) for r in scene.roughness],
         "mean": {

@@ -56,6 +56,7 @@ class ViewerScene:
     light : world
     up, pivot, radius : the turns' axis and centre, and the radius about the centre that holds all of the avatar; world
     roughness : of the materials, each once, as they are shaded
+    brightest : the irradiance, without shadows, that the map of the light shows as white
     shadows : None leaves them out
     """
 
@@ -68,6 +69,7 @@ class ViewerScene:
     pivot: np.ndarray
     radius: float
     roughness: tuple[float, ...]
+    brightest: float
     shadows: ShadowBits | None
 
 
@@ -100,8 +102,21 @@ def viewer_scene(path: str | Path, *, shadows: bool = True, directions: int = SH
         pivot,
         float(np.linalg.norm(model.vertices[used] - pivot, axis=1).max()),
         tuple(sorted(made_of)),
+        _brightest(model, light),
         _shadow_bits(model, directions) if shaded else None,
     )
+
+
+def _brightest(model: GlbModel, light: SGLight) -> float:
+    """The 99.5th percentile over the vertices of the brightest channel, as for irradiance.png; 1 in the dark."""
+    import torch
+
+    from sira_assets.numerics.sg import irradiance
+
+    parts = (mesh_of(model).normals, light.axis, light.sharpness, light.amplitude)
+    received = irradiance(*(torch.as_tensor(np.array(a), dtype=torch.float32) for a in parts)).numpy()
+    white = float(np.quantile(received.max(-1), 0.995))
+    return white if white > 0 else 1.0
 
 
 def _shadow_bits(model: GlbModel, count: int) -> ShadowBits:

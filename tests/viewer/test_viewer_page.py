@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from conftest import two_balls
+from two_balls import two_balls
 
 from sira_assets.asset.gltf import write_glb
 from sira_assets.errors import InputError

@@ -5,6 +5,7 @@
 import { Camera, Matrix4, Quaternion, Vector3 } from "three";
 
 const STEEPEST = 85 * Math.PI / 180; // above and below the horizon
+const FILLED = 0.46; // of the picture's shorter side, by the avatar's radius
 const NEAREST = 0.15, FARTHEST = 6; // distance to the pivot, shares of the first one
 
 const matrix = (rows) => new Matrix4().set(...rows.flat());
@@ -55,6 +56,18 @@ export class OrbitCamera {
     const wanted = Math.max(Math.min(-STEEPEST, now), Math.min(Math.max(STEEPEST, now), now + upwards));
     const side = new Vector3().crossVectors(this.up, towards);
     if (side.lengthSq() > 1e-9) this.turnAbout(side.normalize(), now - wanted);
+    this.place();
+  }
+
+  /** Carry the camera to where the whole avatar fills the picture, looking as it looks. */
+  frame() {
+    const [[fx, skew, cx], [, fy, cy]] = this.said.intrinsics, { width: w, height: h } = this.said;
+    this.pivot = this.firstPivot.clone();
+    const depth = Math.min(fx, fy) * this.radius / (FILLED * Math.min(w, h)), y = (h / 2 - cy) / fy;
+    const middle = new Vector3((w / 2 - cx - skew * y) / fx, -y, -1).multiplyScalar(depth);
+    const inWorld = this.axis(0).multiplyScalar(middle.x).add(this.axis(1).multiplyScalar(middle.y))
+      .add(this.axis(2).multiplyScalar(middle.z));
+    this.pose.setPosition(this.pivot.clone().sub(inWorld));
     this.place();
   }
 

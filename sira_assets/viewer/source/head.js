@@ -40,6 +40,7 @@ export class HeadView {
       camera_from_world: { value: new Matrix3() },
       gain: { value: 1 },
       white_f0: { value: form.white_f0 },
+      white_light: { value: form.white_light },
       show: { value: 0 },
     };
     const vertices = this.meshes.reduce((sum, mesh) => sum + mesh.geometry.getAttribute("position").count, 0);

@@ -6,7 +6,7 @@ const CAPTIONS = {
   diffuse: "diffuse albedo, the light taken away",
   specular: "reflectance head-on, white is F0 = 0.08",
   normals: "x right, y up, z towards the camera",
-  light: "the light alone, as white paper would show it",
+  light: "the light alone on the surface, its brightest white",
 };
 const SMOOTH_MS = 40;
 const STEP = 5 * Math.PI / 180;
@@ -125,6 +125,7 @@ async function start(box) {
     reset();
     canvas.focus({ preventScroll: true });
   });
+  part("fill").addEventListener("click", () => { orbit.frame(); redraw(); });
   part("nearer").addEventListener("click", () => { orbit.zoom(1.2); redraw(); });
   part("farther").addEventListener("click", () => { orbit.zoom(1 / 1.2); redraw(); });
   part("relight-reset").addEventListener("click", () => {

@@ -64,7 +64,7 @@ uniform vec3 camera_world;
 uniform mat3 camera_from_world;
 uniform sampler2D lobes, albedo_table, base_map, specular_map, weight_map, normal_map;
 uniform vec3 base_factor, specular_factor;
-uniform float roughness, f0_dielectric, weight_factor, normal_scale, gain, white_f0;
+uniform float roughness, f0_dielectric, weight_factor, normal_scale, gain, white_f0, white_light;
 uniform int show;
 out vec4 colour;
 const float PI = 3.14159265358979;
@@ -158,7 +158,7 @@ void main() {
     float lobe = exp(-crossed / (sharp + summed));
     reflected += seen(i) * lobe * masked((0.5 / alpha2 + a.w * dot(n, a.xyz)) / sharp, sharp, k) * b.rgb;
   }
-  if (show == 4) { colour = vec4(srgb(gain * received / PI), 1.0); return; }
+  if (show == 4) { colour = vec4(srgb(gain * received / white_light), 1.0); return; }
   float position = sqrt(nv) * float(KNOTS - 1);
   int left = clamp(int(position), 0, KNOTS - 2);
   vec2 albedo = mix(
