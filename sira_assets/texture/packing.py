@@ -48,12 +48,16 @@ def pack_charts(uv: np.ndarray, faces_uv: np.ndarray, chart: np.ndarray, size: i
     low, extent = _boxes(points, chart)
     points = points - low[chart]
     if len(extent) <= _MOST_ON_GRID:
-        order = np.argsort(-extent.prod(1), kind="stable")
+        # Which order is best is a matter of luck; where charts are few, trying all three costs less than a second.
+        sizes = (extent.prod(1), extent.max(1), extent.sum(1))[: 3 if len(extent) <= _MASKED else 1]
+        orders = [np.argsort(-key, kind="stable") for key in sizes]
         # Cells of four texels, so that half the padding is about half a cell.
         grid = int(np.clip(size // 4, min(size, 128), 512))
         outline = _outlines(points, faces_uv, chart, grid)
         for share in (1.0, 0.5, 0.25):
-            placed = _fit(outline, extent, order, grid, share * padding * grid / size)
+            placed = None
+            for order in orders:
+                placed = _fit(outline, extent, order, grid, share * padding * grid / size, placed)
             if placed is not None:
                 scale, corner, turns = placed
                 turned = _turned(points, turns[chart], extent[chart])
@@ -118,16 +122,20 @@ def _turned(points: np.ndarray, turns: np.ndarray | int, extent: np.ndarray) -> 
     return np.stack([across, up], 1)
 
 
-def _fit(outline: list[np.ndarray], extent: np.ndarray, order: np.ndarray, grid: int, padding: float):
-    """Largest scale (cells per unit) found, low corners in cells and quarter turns; None if even a small one fails."""
+def _fit(outline: list[np.ndarray], extent: np.ndarray, order: np.ndarray, grid: int, padding: float, best):
+    """Largest scale (cells per unit) found, low corners in cells and quarter turns; None if even a small one fails.
+
+    `best` is what another order reached; this one must fit at a scale a hundredth larger to be tried at all.
+    """
     area = max(sum(float(extent[k].prod()) for k in range(len(extent))), 1e-300)
     high = grid / max(float(extent.min(1).max()), 1e-300)
     high = min(high, 1.35 * grid / np.sqrt(area))  # boxes a third emptier than the charts in them, filled to the brim
-    low, best = 0.0, None
-    middle = 0.75 * high
+    low, middle = (0.0, 0.75 * high) if best is None else (best[0], 1.01 * best[0])
     for _ in range(_BISECTIONS):
         placed = _place(outline, extent, order, grid, padding, middle)
         if placed is None:
+            if best is not None and middle == 1.01 * best[0]:
+                break
             high = middle
         else:
             low, best = middle, (middle, *placed)
