@@ -1,8 +1,8 @@
 """What a bake costs and how true it is: seconds and memory for all maps, seams, a known function and a checker.
 
-The surface is the shipped models' mean head; the maps' light is two lobes with cast shadows. Beside it, on the same
-mesh and atlas, Open3D's bake (of vertex colours: it has no other), and Blender's with --blender PYTHON, a Python that
-has bpy (from the dense surface's vertex colours).
+The surface is the shipped models' mean head, or an ellipsoid; the maps' light is two lobes with cast shadows. Beside
+it, on the same mesh and atlas, Open3D's bake (of vertex colours: it has no other), and Blender's with --blender PYTHON,
+a Python that has bpy (from the dense surface's vertex colours).
 
     python tools/measure_bake.py --size 2048 --samples 4
     python tools/measure_bake.py --size 1024 --blender ~/blender-venv/bin/python --picture maps.png
@@ -19,6 +19,7 @@ import _cli
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--head", choices=["mean", "ellipsoid"], default="mean", help="the networks' mean head, or analytic")
     p.add_argument("--size", type=int, default=1024, help="texels a side (1024)")
     p.add_argument("--samples", type=int, default=4, metavar="K", help="K x K samples a texel (4)")
     p.add_argument("--triangles", type=int, default=20000, help="of the mesh baked on (20000)")
@@ -38,6 +39,7 @@ def body(arguments: argparse.Namespace) -> int:
     import numpy as np
     from _bake_checks import KnownMaterial, bake_figures, surface_points
 
+    from sira_assets.fields.analytic import EllipsoidHead
     from sira_assets.fields.fitted import FittedHead
     from sira_assets.fields.prior import load_prior
     from sira_assets.mesh.clean import clean_mesh
@@ -50,8 +52,10 @@ def body(arguments: argparse.Namespace) -> int:
     from sira_assets.texture.texture_set import MAPS
     from sira_assets.texture.unwrap import UnwrapConfig, unwrap
 
-    prior = load_prior()
-    head = FittedHead(prior.shape, prior.appearance, prior.z_sdf.mean, prior.z_a.mean, prior.z_s.mean)
+    head = EllipsoidHead()
+    if arguments.head == "mean":
+        prior = load_prior()
+        head = FittedHead(prior.shape, prior.appearance, prior.z_sdf.mean, prior.z_a.mean, prior.z_s.mean)
     surface = clean_mesh(extract_mesh(head, ExtractConfig(cell_m=1e-3 * arguments.cell)))
     mesh = simplify_mesh(surface, arguments.triangles)
     atlas = unwrap(mesh, UnwrapConfig(texture_size=arguments.size))
