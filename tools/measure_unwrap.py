@@ -194,7 +194,7 @@ def measure_plain(mesh, seconds: float) -> dict:
     if not np.isfinite(uv).all() or len(faces_uv) != len(mesh.faces):
         return {"error": f"{int((~np.isfinite(uv)).sum())} coordinates not finite, {len(faces_uv)} faces"}
     said = {"method": "xatlas", "attempts": (), "padding_texels": 0.0, "predicted_s": 0.0}
-    report = measure_atlas(mesh, uv, faces_uv, np.arange(len(faces_uv)), texture_size=1024, seconds=spent, **said)
+    report = measure_atlas(mesh, uv, faces_uv, texture_size=1024, seconds=spent, **said)
     names = ("charts", "utilisation", "seconds", "stretch", "stretch_95", "sliver_share", "overlapping")
     return {name: getattr(report, name) for name in names} | {"CPU seconds": cpu}
 

@@ -144,7 +144,6 @@ def measure_atlas(
     mesh: TriangleMesh,
     uv: np.ndarray,
     faces_uv: np.ndarray,
-    number: np.ndarray,
     *,
     method: str,
     attempts: tuple[str, ...],
@@ -153,21 +152,20 @@ def measure_atlas(
     seconds: float,
     predicted_s: float,
 ) -> AtlasReport:
-    """The report of an atlas, measured on the faces `number` (those of some area, one of each)."""
-    faces = faces_uv[number]
-    names, chart = np.unique(chart_labels(faces, len(uv))[faces[:, 0]], return_inverse=True)
-    covered = np.abs(signed_uv_areas(uv, faces))
-    ratio = stretch(mesh, uv, faces_uv)[number]
-    weight = np.linalg.norm(face_cross_products(mesh.vertices, mesh.faces[number]), axis=1)
+    """The report of an atlas; pieces of a mesh that is not welded count as charts of their own."""
+    names, chart = np.unique(chart_labels(faces_uv, len(uv))[faces_uv[:, 0]], return_inverse=True)
+    covered = np.abs(signed_uv_areas(uv, faces_uv))
+    ratio = stretch(mesh, uv, faces_uv)
+    weight = np.linalg.norm(face_cross_products(mesh.vertices, mesh.faces), axis=1)
     order = np.argsort(ratio)
     reached = np.cumsum(weight[order])
     median, high = (float(ratio[order[np.searchsorted(reached, q * reached[-1])]]) for q in (0.5, 0.95))
     # Twice the area over the border: the width of a long strip, half that of a square.
     width = (
-        texture_size * 2.0 * np.bincount(chart, covered) / np.maximum(_borders(uv, faces, chart, len(names)), 1e-300)
+        texture_size * 2.0 * np.bincount(chart, covered) / np.maximum(_borders(uv, faces_uv, chart, len(names)), 1e-300)
     )
     # Rounding of single precision, in which files keep coordinates, is no overlap.
-    pairs = overlapping_pairs(uv, faces, tolerance=1e-7)
+    pairs = overlapping_pairs(uv, faces_uv, tolerance=1e-7)
     return AtlasReport(
         method=method,
         charts=len(names),

@@ -73,10 +73,9 @@ def unwrap(mesh: TriangleMesh, config: UnwrapConfig = UnwrapConfig()) -> Atlas:
     packed = pack_charts(charts.uv, charts.faces_uv, chart, config.texture_size, config.padding)
     uv, faces_uv = _put_back(mesh, sound, packed.uv, charts.faces_uv)
     report = measure_atlas(
-        mesh,
-        uv,
-        faces_uv,
-        sound.number,
+        TriangleMesh(sound.vertices, sound.faces),
+        packed.uv,
+        charts.faces_uv,
         method=method,
         attempts=attempts,
         padding_texels=packed.padding,

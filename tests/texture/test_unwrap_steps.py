@@ -176,13 +176,13 @@ def test_report_of_a_known_atlas():
     mesh = grid(2)
     uv = mesh.vertices[:, :2] / 4.0  # a quarter of the square
     said = {"method": "x", "attempts": (), "padding_texels": 4.0, "seconds": 0.0, "predicted_s": 0.0}
-    report = measure_atlas(mesh, uv, mesh.faces, np.arange(8), texture_size=64, **said)
+    report = measure_atlas(mesh, uv, mesh.faces, texture_size=64, **said)
     assert report.charts == 1
     assert report.utilisation == pytest.approx(0.25)
     assert report.stretch == pytest.approx(1.0)
     assert report.sliver_share == 0.0
     assert report.overlapping == 0
-    thin = measure_atlas(mesh, uv * (1.0, 0.05), mesh.faces, np.arange(8), texture_size=64, **said)
+    thin = measure_atlas(mesh, uv * (1.0, 0.05), mesh.faces, texture_size=64, **said)
     assert thin.sliver_share == 1.0  # 1.6 texels
     assert thin.stretch_95 == pytest.approx(20.0)
 
@@ -214,3 +214,9 @@ def test_texture_size_follows_the_photos_pixels(metres_per_unit):
     behind[2, 3] *= -1
     camera = Camera(np.array([[1000, 0, 500], [0, 1000, 500], [0, 0, 1.0]]), behind, 1000, 1000)
     assert photo_texture_size(square, camera) == LEAST
+
+
+def test_a_soup_is_unwrapped_as_the_surface_it_is():
+    mesh = grid(6)
+    soup = TriangleMesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))
+    assert unwrap(soup, UnwrapConfig(methods=())).report.charts == 1
