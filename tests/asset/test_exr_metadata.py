@@ -45,3 +45,12 @@ def test_the_header_says_colour_space_and_compression(folder, name):
     assert ("envmap" in header) == (name == "envmap.exr")
     # A date or a host would make the same avatar another file.
     assert not {"capDate", "utcOffset", "owner"} & set(header)
+
+
+def test_mitsuba_reads_the_radiance_file_as_the_same_map(folder):
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    exact, shared = (np.array(mitsuba.Bitmap(str(folder / f"envmap.{kind}"))) for kind in ("exr", "hdr"))
+    assert shared.shape == exact.shape
+    # RGBE's mantissa has eight bits of the brightest channel.
+    assert (np.abs(shared - exact) <= exact.max(-1, keepdims=True) / 128 + 1e-30).all()
