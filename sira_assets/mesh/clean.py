@@ -3,12 +3,13 @@
 Notation: a piece is a set of faces connected through vertices; its signed volume is positive when its faces look out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sira_assets.errors import InputError
-from sira_assets.mesh.extract import bounds_sdf
+from sira_assets.mesh.lattice import bounds_sdf
+from sira_assets.mesh.self_intersection import self_intersecting_faces
 from sira_assets.mesh.topology import Topology, edge_keys, nonmanifold_vertices, topology, vertex_pieces
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
@@ -31,7 +32,12 @@ class CleanConfig:
 
 @dataclass(frozen=True)
 class CleanReport:
-    """What was done, and what came out."""
+    """What was done, and what came out.
+
+    Parameters
+    ----------
+    self_intersecting_faces : faces of the result that pass through others; counted, not repaired
+    """
 
     welded_vertices: int
     dropped_faces: int
@@ -39,12 +45,13 @@ class CleanReport:
     dropped_piece_faces: int
     repaired_nonmanifold: bool
     closed_holes: bool
+    self_intersecting_faces: int
     result: Topology
 
 
 def clean_mesh(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -> TriangleMesh:
     """`clean_with_report` without the report."""
-    return clean_with_report(mesh, config)[0]
+    return _clean(mesh, config)[0]
 
 
 def clean_with_report(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -> tuple[TriangleMesh, CleanReport]:
@@ -64,6 +71,12 @@ def clean_with_report(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -
     ------
     InputError : nothing is left.
     """
+    out, report = _clean(mesh, config)
+    return out, replace(report, self_intersecting_faces=int(self_intersecting_faces(out).sum()))
+
+
+def _clean(mesh: TriangleMesh, config: CleanConfig) -> tuple[TriangleMesh, CleanReport]:
+    """All but the count of self-intersections, which takes as long as the rest."""
     welded, count = _weld(mesh)
     sound = _drop_bad_faces(welded, config)
     largest, pieces = _largest_piece(sound)
@@ -91,6 +104,7 @@ def clean_with_report(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -
         dropped_piece_faces=len(sound.faces) - len(largest.faces),
         repaired_nonmanifold=broken,
         closed_holes=holes,
+        self_intersecting_faces=0,
         result=topology(out),
     )
 

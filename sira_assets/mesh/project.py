@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sira_assets.fields.head_field import HeadField, query
+from sira_assets.mesh.lattice import chunk_for
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 
 
@@ -62,7 +63,7 @@ def project_points(
     """
     start = np.asarray(points_m, np.float64).reshape(-1, 3)
     best = start.copy()
-    first = query(field, best, normals=True, device=device)
+    first = query(field, best, normals=True, device=device, chunk=chunk_for(device))
     residual, normals = first.sdf_m.astype(np.float64), first.normals.astype(np.float64)
     slope = np.ones(len(best))
     shrink = np.ones(len(best))
@@ -80,7 +81,7 @@ def project_points(
         trial[too_far] = (start[active] + offset * (config.max_distance_m / np.maximum(distance, 1e-300))[:, None])[
             too_far
         ]
-        there = query(field, trial, normals=True, device=device)
+        there = query(field, trial, normals=True, device=device, chunk=chunk_for(device))
         value = there.sdf_m.astype(np.float64)
         better = np.abs(value) < np.abs(residual[active])  # False for NaN: such a step is never taken
         measured = (value - residual[active]) / np.where(np.abs(length) > 1e-12, length, 1e-12)
@@ -118,17 +119,17 @@ def project_mesh(
     keep = on_surface & agree if fixed is None else on_surface & agree & ~fixed
     vertices = np.where(keep[:, None], moved.points, mesh.vertices)
     normals = np.where(keep[:, None], moved.normals, mesh.normals)
-    turned = _turned_faces(mesh.vertices, vertices, mesh.faces)
+    turned = turned_faces(mesh.vertices, vertices, mesh.faces)
     while turned.any():
         back = np.unique(mesh.faces[turned])
         if np.array_equal(vertices[back], mesh.vertices[back]):
             break
         vertices[back], normals[back] = mesh.vertices[back], mesh.normals[back]
-        turned = _turned_faces(mesh.vertices, vertices, mesh.faces)
+        turned = turned_faces(mesh.vertices, vertices, mesh.faces)
     return TriangleMesh(vertices, mesh.faces, normals)
 
 
-def _turned_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def turned_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F,) bool: faces whose plane turned by more than about 78 degrees, or that lost nearly all their area."""
     a, b, c = (before[faces[:, k]] for k in range(3))
     old = np.cross(b - a, c - a)

@@ -1,4 +1,4 @@
-"""Fewer triangles, the same surface: quadric edge collapse, then checks that it is still a clean surface.
+"""Fewer triangles, the same surface: quadric edge collapse to a budget or to a tolerance, checked to be clean still.
 
 Quadric error metrics: Garland and Heckbert 1997, DOI 10.1145/258734.258849.
 """
@@ -7,21 +7,25 @@ import numpy as np
 
 from sira_assets.errors import InputError
 from sira_assets.mesh.clean import clean_mesh
+from sira_assets.mesh.field_distance import SurfaceGap, mesh_distance
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.topology import topology
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
 # Gentlest setting first. fast-simplification's own default, 7, has ten times the error of 3 on a 400k-face head.
 AGGRESSIVENESS = (3.0, 1.0)
+# A tolerance is met with at most this many times the fewest triangles that meet it.
+COUNT_STEP = 1.15
 
 
-def simplify_mesh(mesh: TriangleMesh, max_triangles: int) -> TriangleMesh:
+def simplify_mesh(mesh: TriangleMesh, max_triangles: int, *, importance: np.ndarray | None = None) -> TriangleMesh:
     """A mesh of at most `max_triangles` triangles (about; see Returns) on the same surface.
 
     Parameters
     ----------
     mesh : metres; manifold meshes stay manifold
     max_triangles : >= 4
+    importance : (V,) weights >= 1 of the squared error at each vertex (`head_importance`); all alike if None
 
     Returns
     -------
@@ -39,7 +43,8 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int) -> TriangleMesh:
     raycaster = Raycaster(mesh)
     source = topology(mesh)
     best, best_score = None, None
-    for method in (_fast(AGGRESSIVENESS[0]), _fast(AGGRESSIVENESS[1]), _open3d):
+    weighted = () if importance is None else (_meshlab(importance),)
+    for method in (*weighted, _fast(AGGRESSIVENESS[0]), _fast(AGGRESSIVENESS[1]), _open3d):
         vertices, faces = method(mesh, max_triangles)
         candidate = clean_mesh(TriangleMesh(vertices, faces))
         result = topology(candidate)
@@ -58,6 +63,45 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int) -> TriangleMesh:
         if score == (0, 0):
             break
     return TriangleMesh(best.vertices, best.faces, transfer_normals(best.vertices, mesh, raycaster))
+
+
+def simplify_to_tolerance(
+    mesh: TriangleMesh, tolerance_m: float, *, importance: np.ndarray | None = None
+) -> tuple[TriangleMesh, SurfaceGap]:
+    """As few triangles as the greatest distance between `mesh` and the result allows, measured both ways.
+
+    The count is found by halving an interval, so it is within `COUNT_STEP` of the least that was seen to do.
+
+    Parameters
+    ----------
+    mesh : metres
+    tolerance_m : > 0
+    importance : as in `simplify_mesh`
+
+    Returns
+    -------
+    TriangleMesh : `mesh` itself where no fewer triangles do
+    SurfaceGap : mesh to result and back, metres, each at more than 100,000 points
+
+    Raises
+    ------
+    InputError : a tolerance that is not above 0.
+    """
+    if not tolerance_m > 0:
+        raise InputError(expected="a tolerance above 0", received=f"{tolerance_m}", remedy="correct it")
+    best, best_gap = mesh, SurfaceGap(0.0, 0.0, 0.0, 0.0)
+    low, high = 4.0, float(len(mesh.faces))  # `low` fails, `high` holds
+    trial = max(high / 8.0, 4.0)
+    while high > COUNT_STEP * low:
+        candidate = simplify_mesh(mesh, int(trial), importance=importance)
+        gap = mesh_distance(mesh, candidate)
+        if gap.greatest <= tolerance_m:
+            best, best_gap, high = candidate, gap, trial
+        else:
+            low = trial
+        # An eighth at a time at first: a mesh on a fine lattice has many times too many.
+        trial = max(high / 8.0, 4.0) if low == 4.0 and high > 40.0 else np.sqrt(low * high)
+    return best, best_gap
 
 
 def flipped_faces(mesh: TriangleMesh, reference: TriangleMesh, raycaster: Raycaster) -> np.ndarray:
@@ -107,6 +151,26 @@ def _fast(aggressiveness: float):
             agg=aggressiveness,
         )
         return np.asarray(vertices, np.float64) * size + centre, np.asarray(faces, np.int64)
+
+    return run
+
+
+def _meshlab(importance: np.ndarray):
+    def run(mesh: TriangleMesh, max_triangles: int) -> tuple[np.ndarray, np.ndarray]:
+        import pymeshlab
+
+        meshes = pymeshlab.MeshSet(verbose=False)
+        meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces, v_scalar_array=np.asarray(importance, np.float64)))
+        meshes.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=max_triangles,
+            qualityweight=True,
+            preserveboundary=True,
+            preservenormal=True,
+            preservetopology=True,
+        )
+        result = meshes.current_mesh()
+        # Copies: the matrices are views that die with the MeshSet.
+        return np.array(result.vertex_matrix()), np.array(result.face_matrix(), np.int64)
 
     return run
 
