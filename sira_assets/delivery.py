@@ -81,7 +81,7 @@ def check_target(folder: Path, *, overwrite: bool, marker: str = "report.json", 
 def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
     """Write everything a run made into `folder`, whole or not at all, and give its report."""
     with replacing_folder(folder) as fresh:
-        write_avatar(journey.avatar, fresh, settings.export)
+        write_avatar(journey.avatar, fresh, settings.export, levels=journey.levels)
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
         portrait = journey.portrait
         # As the field was seen, with shadows or without: the figures of file and field then differ by the file alone.
@@ -154,6 +154,7 @@ def _report(
         *_exported_metrics(exported),
         Metric("mask_iou", "silhouette overlap", float(both.sum() / max(union.sum(), 1)), "", "mask against render"),
         Metric("triangles", "triangles", float(len(avatar.mesh.faces)), "", "of the exported mesh", False, 0),
+        *_mesh_metrics(journey),
         Metric("charts", "charts", float(avatar.atlas.report.charts), "", f"by {avatar.atlas.report.method}", False, 0),
         Metric("texture_size", "texels a side", float(avatar.textures.size), "", "of every map", False, 0),
         Metric("texture_utilisation", "texels used", 100 * avatar.atlas.report.utilisation, "%", "", False, 1),
@@ -184,8 +185,29 @@ def _report(
         version=__version__,
         seed=settings.seed,
         metres_per_unit=portrait.metres_per_unit,
-        files=(*FILES, *(USD_FILES if settings.export.usd else ())),
+        files=(*FILES, *_level_files(journey), *(USD_FILES if settings.export.usd else ())),
         viewer=viewer,
+    )
+
+
+def _mesh_metrics(journey: Journey) -> tuple[Metric, ...]:
+    facts = journey.facts
+    how = "exported mesh to the field's zero set and back, the greater; canonical mm, without the rim of the bust's cut"
+    asked = f"with {facts.extract.gradients} gradients; {facts.extract.dense} would be a dense grid of the same cell"
+    mean = max(facts.gap.mean_there, facts.gap.mean_back)
+    return (
+        Metric("mesh_gap_max_mm", "mesh off the field by at most", 1e3 * facts.gap.greatest, "mm", how, False, 3),
+        Metric("mesh_gap_mean_mm", "and on average", 1e3 * mean, "mm", "", False, 4),
+        Metric("field_evaluations", "field evaluations", float(facts.extract.evaluations), "", asked, False, 0),
+        Metric(
+            "self_intersecting_faces",
+            "faces through faces",
+            float(facts.clean.self_intersecting_faces),
+            "",
+            "of the full surface",
+            False,
+            0,
+        ),
     )
 
 
@@ -197,6 +219,13 @@ def _exported_metrics(exported: ExportedView) -> tuple[Metric, ...]:
         Metric("asset_vs_final_psnr_db", "exported asset against render", final, "dB", how, False, 1),
         Metric("asset_vs_photo_psnr_db", "exported asset against photo", photo, "dB", how, False, 1),
         Metric("asset_vs_final_without_f_psnr_db", "without glTF's weighting", plain, "dB", same, False, 1),
+    )
+
+
+def _level_files(journey: Journey) -> tuple[tuple[str, str], ...]:
+    return tuple(
+        (f"avatar_lod{k}.glb", f"the same in {len(level.mesh.faces)} triangles, with maps of its own")
+        for k, level in enumerate(journey.levels, 1)
     )
 
 

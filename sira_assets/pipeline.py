@@ -20,9 +20,10 @@ from sira_assets.fit.doubts import geometry_doubts, portrait_doubts
 from sira_assets.fit.geometry import GeometryFit, GeometryFitConfig, fit_geometry
 from sira_assets.fit.loop import Checkpoint
 from sira_assets.fit.stored import fit_key, keep_appearance, keep_geometry, kept_appearance, kept_geometry
-from sira_assets.mesh.clean import CleanConfig, clean_mesh
-from sira_assets.mesh.extract import ExtractConfig, extract_mesh
-from sira_assets.mesh.simplify import simplify_mesh
+from sira_assets.mesh.asset_mesh import EXTRACT_SHARE, MeshFacts, asset_mesh, level_of_detail
+from sira_assets.mesh.clean import CleanConfig, clean_with_report
+from sira_assets.mesh.extract import ExtractConfig, extract_with_report
+from sira_assets.mesh.field_distance import field_distance
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.render.shading import ROUGHNESS
 from sira_assets.render.view import ViewRender, render_view
@@ -37,7 +38,14 @@ from sira_assets.texture.unwrap import UnwrapConfig, unwrap
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that decides an avatar, given the portrait and the prior."""
+    """Everything that decides an avatar, given the portrait and the prior.
+
+    Parameters
+    ----------
+    max_triangles : of the exported mesh, where `tolerance_mm` does not decide
+    tolerance_mm : greatest distance of the exported mesh from the field's zero set, canonical mm; or None
+    levels_of_detail : how many coarser avatars come beside the full one
+    """
 
     quality: str = "standard"
     geometry: GeometryFitConfig = GeometryFitConfig()
@@ -45,6 +53,8 @@ class Settings:
     extract: ExtractConfig = ExtractConfig()
     clean: CleanConfig = CleanConfig()
     max_triangles: int = 30000
+    tolerance_mm: float | None = None
+    levels_of_detail: int = 0
     unwrap: UnwrapConfig = UnwrapConfig()
     bake: BakeConfig = BakeConfig()
     export: ExportConfig = ExportConfig()
@@ -64,6 +74,8 @@ class Journey:
     view: ViewRender
     doubts: tuple[str, ...]  # what about the portrait or its fit is not as it should be, one line each
     seconds: tuple[tuple[str, float], ...]
+    levels: tuple[Avatar, ...]  # coarser ones, each with maps of its own
+    facts: MeshFacts
 
 
 def settings_for(
@@ -72,6 +84,9 @@ def settings_for(
     texture_size: int | None = None,
     maps: tuple[str, ...] = (),
     max_triangles: int | None = None,
+    tolerance_mm: float | None = None,
+    levels_of_detail: int = 0,
+    open_bust: bool = False,
     shadows: bool = True,
     seed: int = 0,
 ) -> Settings:
@@ -81,6 +96,9 @@ def settings_for(
     ----------
     texture_size : texels a side; None for what the photo's own pixels fill (draft half of it, high twice, a side)
     maps : baked beside the default ones, of `texture_set.MAPS`
+    tolerance_mm : the exported mesh's greatest distance from the fitted surface, instead of a number of triangles
+    levels_of_detail : further avatars, each with a quarter of the triangles and half the texels a side
+    open_bust : leave off the caps where the head's box cuts the shoulders
     shadows : whether the head casts shadows on itself, in the fit, in the bake and in the render
 
     Raises
@@ -102,12 +120,16 @@ def settings_for(
         raise InputError(expected="draft, standard or high", received=quality, remedy="choose one of them")
     check_maps(maps)
     size = texture_size or BakeConfig.size
+    finer = None if tolerance_mm is None else EXTRACT_SHARE * tolerance_mm
     return Settings(
         quality,
         g,
         a,
-        ExtractConfig(cell_m=cell),
+        ExtractConfig(cell_m=cell, tolerance_mm=finer),
+        CleanConfig(open_bust=open_bust),
         max_triangles=max_triangles or triangles,
+        tolerance_mm=tolerance_mm,
+        levels_of_detail=levels_of_detail,
         unwrap=UnwrapConfig(texture_size=size),
         bake=BakeConfig(size=size, samples=samples, maps=tuple(dict.fromkeys((*DEFAULT_MAPS, *maps)))),
         texels_per_pixel=None if texture_size else density,
@@ -166,8 +188,9 @@ def run(
             keep_geometry(geometry, work, key)
             partial.path.unlink(missing_ok=True)
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
-    surface = stage("extract", extract_mesh, unlit_head(geometry, prior), settings.extract, device=device)
-    surface = stage("clean", clean_mesh, surface, settings.clean)
+    shape = unlit_head(geometry, prior)
+    surface, extracted = stage("extract", extract_with_report, shape, settings.extract, device=device)
+    surface, cleaned = stage("clean", clean_with_report, surface, settings.clean)
     key = fit_key(portrait, prior, repr((settings.geometry, settings.extract, settings.clean, settings.appearance)))
     appearance = kept_appearance(work, key, device=device) if work else None
     if appearance is not None:
@@ -181,24 +204,38 @@ def run(
             partial.path.unlink(missing_ok=True)
     head, light, pose = appearance.head, appearance.light, geometry.canonical_from_world
     shadows = stage("shadows", surface_visibility, surface, light, pose) if appearance.shadowed else None
-    mesh = stage("simplify", simplify_mesh, surface, settings.max_triangles)
     to_world = np.linalg.inv(pose)
+
+    def dressed(mesh: TriangleMesh, level: int = 0) -> Avatar:
+        name = f", level {level}" if level else ""
+        unwrapping = replace(settings.unwrap, texture_size=max(settings.unwrap.texture_size >> level, 64))
+        baking = replace(settings.bake, size=max(settings.bake.size >> level, 64))
+        atlas = stage(f"unwrap{name}", unwrap, mesh, unwrapping)
+        there = (head, mesh, atlas, light, to_world)
+        textures = stage(f"bake{name}", bake, *there, baking, shadows=shadows, surface=surface, device=device)
+        return Avatar(
+            mesh.transformed(to_world),
+            atlas,
+            textures,
+            light,
+            ROUGHNESS,
+            pose,
+            portrait.metres_per_unit,
+            portrait.name,
+            portrait.camera,
+        )
+
+    mesh = stage("simplify", asset_mesh, surface, settings.max_triangles, settings.tolerance_mm)
+    gap = stage("measure", field_distance, shape, mesh, samples=20_000, device=device)
     settings = sized_for_photo(settings, mesh.transformed(to_world), portrait.camera)
-    atlas = stage("unwrap", unwrap, mesh, settings.unwrap)
-    there = (head, mesh, atlas, light, to_world)
-    textures = stage("bake", bake, *there, settings.bake, shadows=shadows, surface=surface, device=device)
-    avatar = Avatar(
-        mesh.transformed(to_world),
-        atlas,
-        textures,
-        light,
-        ROUGHNESS,
-        pose,
-        portrait.metres_per_unit,
-        portrait.name,
-        portrait.camera,
-    )
+    avatar = dressed(mesh)
+    meshes = [
+        stage(f"simplify, level {k}", level_of_detail, surface, mesh, k)
+        for k in range(1, settings.levels_of_detail + 1)
+    ]
+    levels = tuple(dressed(coarser, k) for k, coarser in enumerate(meshes, 1))
     camera = portrait.camera
     view = stage("render", render_view, head, surface, camera, pose, light, shadows=shadows, device=device)
     doubts = portrait_doubts(portrait) + geometry_doubts(portrait, geometry, prior, view.hit) + appearance.warnings
-    return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds))
+    facts = MeshFacts(extracted, cleaned, gap)
+    return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds), levels, facts)

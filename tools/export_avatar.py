@@ -47,7 +47,17 @@ def parser() -> argparse.ArgumentParser:
         help="texels a side, 64 to 8192; auto, the default: what the photo fills",
     )
     p.add_argument("--maps", type=_names, default=(), metavar="A,B", help="further maps: " + ", ".join(FURTHER_MAPS))
-    p.add_argument("--max-triangles", type=int, help="at least 100")
+    fineness = p.add_mutually_exclusive_group()
+    fineness.add_argument("--max-triangles", type=int, help="at least 100")
+    fineness.add_argument(
+        "--tolerance",
+        type=float,
+        dest="tolerance_mm",
+        metavar="MM",
+        help="as many triangles as keep the mesh this near the fitted surface, 0.05 to 5 (eyes 63 mm apart)",
+    )
+    p.add_argument("--levels-of-detail", type=int, default=0, metavar="N", help="N coarser avatars too, 0 to 4")
+    p.add_argument("--open-bust", action="store_true", help="no caps where the head's box cuts the shoulders")
     p.add_argument("--no-shadows", dest="shadows", action="store_false", help="light without the head's cast shadows")
     p.add_argument("--specular-form", choices=["color", "factor"], default="color", help="where the GLB keeps F0")
     p.add_argument("--quantize", action="store_true", help="GLB geometry as integers: half the size, 0.01 mm steps")
@@ -92,6 +102,9 @@ def body(args: argparse.Namespace) -> int:
         texture_size=args.texture_size,
         maps=args.maps,
         max_triangles=args.max_triangles,
+        tolerance_mm=args.tolerance_mm,
+        levels_of_detail=args.levels_of_detail,
+        open_bust=args.open_bust,
         shadows=args.shadows,
         seed=args.seed,
     )
@@ -140,6 +153,10 @@ def main(argv: list[str] | None = None) -> int:
         p.error("--texture-size must be 64 to 8192")
     if args.max_triangles is not None and args.max_triangles < 100:
         p.error("--max-triangles must be at least 100")
+    if args.tolerance_mm is not None and not 0.05 <= args.tolerance_mm <= 5.0:
+        p.error("--tolerance must be 0.05 to 5")
+    if not 0 <= args.levels_of_detail <= 4:
+        p.error("--levels-of-detail must be 0 to 4")
     return _cli.run(lambda: body(args))
 
 

@@ -11,8 +11,18 @@ from sira_assets.asset.textures import write_textures
 from sira_assets.asset.usd import check_usd, write_usd
 
 
-def write_avatar(avatar: Avatar, folder: str | Path, config: ExportConfig = ExportConfig()) -> None:
+def write_avatar(
+    avatar: Avatar,
+    folder: str | Path,
+    config: ExportConfig = ExportConfig(),
+    *,
+    levels: tuple[Avatar, ...] = (),
+) -> None:
     """Write avatar.glb, avatar.obj, avatar.mtl, textures/, the light and, if asked, USD into `folder`.
+
+    Parameters
+    ----------
+    levels : coarser avatars, written beside it as avatar_lod1.glb, avatar_lod2.glb ...
 
     Raises
     ------
@@ -25,5 +35,7 @@ def write_avatar(avatar: Avatar, folder: str | Path, config: ExportConfig = Expo
     write_lights(avatar.light, folder)
     write_obj(avatar, folder / "avatar.obj")
     write_glb(avatar, folder / "avatar.glb", config)
+    for number, level in enumerate(levels, 1):
+        write_glb(level, folder / f"avatar_lod{number}.glb", config)
     if config.usd:
         write_usd(avatar, folder / "avatar.usdc")

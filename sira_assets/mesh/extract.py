@@ -1,8 +1,9 @@
 """From a signed distance to triangles: sparse marching cubes, Newton to the zero set, splitting where it curves.
 
 Notation: f the field's signed distance; h the lattice's step (`cell_m`); t a tolerance; r a radius of curvature. A
-triangle of edges h with its corners on the surface stands off it by h^2/(8 r) in the middle of an edge. So for a tolerance
-h = sqrt(8 t r) with r = `TYPICAL_RADIUS_M`, and where the surface curves more, triangles are split until t holds.
+triangle of edges h with its corners on the surface stands off it by h^2/(8 r) in the middle of an edge. So for a
+tolerance h = sqrt(8 t r) with r = `TYPICAL_RADIUS_M`, and where the surface curves more, triangles are split until t
+holds.
 """
 
 from dataclasses import dataclass
@@ -48,9 +49,9 @@ class ExtractConfig:
     max_cells: int = 20_000_000
 
     def __post_init__(self):
-        if self.tolerance_mm is not None and not 0.002 <= self.tolerance_mm <= 5.0:
+        if self.tolerance_mm is not None and not 0.01 <= self.tolerance_mm <= 5.0:
             raise InputError(
-                expected="a tolerance of 0.002 to 5 mm (a float32 network resolves a micrometre)",
+                expected="a tolerance of 0.01 to 5 mm (a float32 network resolves micrometres)",
                 received=f"{self.tolerance_mm:g} mm",
                 remedy="choose one in that range",
             )

@@ -1,8 +1,8 @@
 """How far a mesh stands from a field's zero set, both ways.
 
-Notation: x a point of the mesh; p(x) where it comes to lie on the zero set when it is moved along the field's normals. The
-distance |p(x) - x| is at least the distance of x from the zero set; the distance of p(x) from the mesh measures the
-other way.
+Notation: x a point of the mesh; p(x) where it comes to lie on the zero set when it is moved along the field's normals.
+The distance |p(x) - x| is at least the distance of x from the zero set; the distance of p(x) from the mesh measures
+the other way.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 
 from sira_assets.fields.head_field import HeadField
 from sira_assets.mesh.lattice import bounds_sdf
-from sira_assets.mesh.project import ProjectConfig, project_points
+from sira_assets.mesh.project import ProjectConfig, ProjectedPoints, project_points
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
@@ -72,9 +72,39 @@ def field_distance(
         return SurfaceGap(0.0, 0.0, 0.0, 0.0)
     moved = project_points(field, points, ProjectConfig(reach_m, iterations=8), device=device)
     there = np.linalg.norm(moved.points - points, axis=1) + np.abs(moved.residual_m)
+    worst = np.argsort(-there)[: max(1, len(there) // 50)]
+    there[worst] = _nearer(field, points[worst], moved, worst, there[worst], reach_m, device)
     arrived = np.abs(moved.residual_m) <= 2e-5  # ten times the projection's tolerance
     back = Raycaster(mesh).closest(moved.points[arrived]).distance if arrived.any() else np.zeros(1)
     return SurfaceGap(float(there.mean()), float(there.max()), float(back.mean()), float(back.max()))
+
+
+def _nearer(
+    field: HeadField,
+    points: np.ndarray,
+    moved: ProjectedPoints,
+    rows: np.ndarray,
+    distance: np.ndarray,
+    reach_m: float,
+    device: str,
+) -> np.ndarray:
+    """Distances of points from the zero set, no longer along its normals but slid along it towards each point.
+
+    x is nearest to a point p of the zero set where x - p is normal to it, so p goes along the surface by the rest.
+    """
+    at, normals = moved.points[rows], moved.normals[rows]
+    for _ in range(4):
+        offset = points - at
+        along = offset - (offset * normals).sum(1, keepdims=True) * normals
+        slid = project_points(field, at + along, ProjectConfig(reach_m), device=device)
+        found = np.linalg.norm(slid.points - points, axis=1) + np.abs(slid.residual_m)
+        better = found < distance
+        if not better.any():
+            break
+        distance = np.where(better, found, distance)
+        at = np.where(better[:, None], slid.points, at)
+        normals = np.where(better[:, None], slid.normals, normals)
+    return distance
 
 
 def mesh_distance(first: TriangleMesh, second: TriangleMesh, *, samples: int = 100_000, seed: int = 0) -> SurfaceGap:

@@ -1,7 +1,7 @@
 """Where triangles matter most on a head: eyes, lips, and what is seen as its outline.
 
-Notation: x a vertex in the canonical frame, n its normal; w >= 1 its weight, by which decimation multiplies the error that
-it makes there (a squared distance).
+Notation: x a vertex in the canonical frame, n its normal; w >= 1 its weight, by which decimation multiplies the error
+that it makes there (a squared distance).
 """
 
 import numpy as np

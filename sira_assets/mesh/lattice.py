@@ -1,13 +1,14 @@
 """Where on a fine lattice a field's surface runs, from as few values as it takes.
 
-Notation: h finest step; a cell of size s has edges of s h, s a power of two; f the field's signed distance closed by the
-head's box; L a bound on |grad f|. No point of a cell is further than s h sqrt(3)/2 from its nearest corner, so a cell whose
-corners all have |f| > L s h sqrt(3)/2 holds no surface (Galin et al. 2020 call such a tree a Lipschitz octree, DOI
-10.1111/cgf.13951). Down to cells of two steps every cell that may hold surface is kept. The last halving costs most, so
-there only the eighths are asked through which the trilinear interpolant of the cell's corners runs; from these, cells
-are added across every face the surface leaves through, until it leaves nowhere (continuation; Wyvill et al. 1986, DOI
-10.1007/BF01900346). Cells near no surface found so far but with small |f| are asked whole. What this can miss is a closed
-piece of its own smaller than two steps' lattice sees, within four steps of other surface: a floater, cleaned away anyhow.
+Notation: h finest step; a cell of size s has edges of s h, s a power of two; f the field's signed distance closed by
+the head's box; L a bound on |grad f|. No point of a cell is further than s h sqrt(3)/2 from its nearest corner, so a
+cell whose corners all have |f| > L s h sqrt(3)/2 holds no surface (Galin et al. 2020 call such a tree a Lipschitz
+octree, DOI 10.1111/cgf.13951). Down to cells of two steps every cell that may hold surface is kept. The last halving
+costs most, so there only the eighths are asked through which the trilinear interpolant of the cell's corners runs;
+from these, cells are added across every face the surface leaves through, until it leaves nowhere (continuation; Wyvill
+et al. 1986, DOI 10.1007/BF01900346). Cells near no surface found so far but with small |f| are asked whole. What this
+can miss is a closed piece of its own smaller than two steps' lattice sees, within four steps of other surface: a
+floater, cleaned away anyhow.
 """
 
 from dataclasses import dataclass
@@ -78,8 +79,8 @@ def lattice_over_box(step_m: float, coarsest_m: float) -> Lattice:
         )
     size = 2 ** max(0, int(np.floor(np.log2(max(coarsest_m / step_m, 1.0) * (1 + 1e-9)))))
     coarse = size * step_m
-    # Half a cell of offset keeps lattice planes off the box's own planes (exact zeros), one cell of margin closes it.
-    origin = BOUNDS_M[0] - 0.5 * coarse - 0.5 * step_m
+    # Half a cell of offset keeps lattice planes off the box's own planes (exact zeros); what is beyond them closes it.
+    origin = BOUNDS_M[0] - (size // 2 + 0.5) * step_m
     cells = np.ceil((BOUNDS_M[1] + 0.5 * coarse - origin) / coarse).astype(np.int64)
     return Lattice(origin, step_m, cells * size + 1, size)
 

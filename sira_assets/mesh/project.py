@@ -119,17 +119,17 @@ def project_mesh(
     keep = on_surface & agree if fixed is None else on_surface & agree & ~fixed
     vertices = np.where(keep[:, None], moved.points, mesh.vertices)
     normals = np.where(keep[:, None], moved.normals, mesh.normals)
-    turned = turned_faces(mesh.vertices, vertices, mesh.faces)
+    turned = _turned_faces(mesh.vertices, vertices, mesh.faces)
     while turned.any():
         back = np.unique(mesh.faces[turned])
         if np.array_equal(vertices[back], mesh.vertices[back]):
             break
         vertices[back], normals[back] = mesh.vertices[back], mesh.normals[back]
-        turned = turned_faces(mesh.vertices, vertices, mesh.faces)
+        turned = _turned_faces(mesh.vertices, vertices, mesh.faces)
     return TriangleMesh(vertices, mesh.faces, normals)
 
 
-def turned_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _turned_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F,) bool: faces whose plane turned by more than about 78 degrees, or that lost nearly all their area."""
     a, b, c = (before[faces[:, k]] for k in range(3))
     old = np.cross(b - a, c - a)

@@ -1,24 +1,31 @@
 """Splitting triangles where the zero set leaves them by more than a tolerance.
 
-Notation: t the tolerance; f the field's signed distance; an edge or face is tested by |f| in its middle. A split face gets
-one, two or three of its edges' midpoints, each on the zero set, so that the mesh stays conforming. Whenever an edge of a
-face is split, its longest one is as well: angles then stay bounded however often it happens (Rivara 1984, DOI
-10.1002/nme.1620200412).
+Notation: t the tolerance; f the field's signed distance; g its slope at a vertex, |f| at t along the normal over t (at
+most 1). An edge or face is tested by |f| / g in its middle, with the least g of its vertices: trained fields are as
+flat as g = 0.2 in hollows. A split face gets one, two or three of its edges' midpoints, each on the zero set, so that
+the mesh stays conforming. Whenever an edge of a face is split, its longest one is as well: angles then stay bounded
+however often it happens (Rivara 1984, DOI 10.1002/nme.1620200412).
 """
 
 import numpy as np
 
 from sira_assets.errors import InputError
-from sira_assets.fields.head_field import HeadField, query
+from sira_assets.fields.head_field import BOUNDS_M, HeadField, query
 from sira_assets.mesh.lattice import bounds_sdf, chunk_for
-from sira_assets.mesh.project import ProjectConfig, project_points, turned_faces
+from sira_assets.mesh.project import ProjectConfig, project_points
 from sira_assets.mesh.topology import edge_keys
-from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
-# |f| is a distance times the field's slope. Trained fields have slopes of 0.7 to 1.3 near the surface, and the middle of
-# a triangle is not quite its worst point, so half the tolerance is asked of the tested points.
+# The middle of an edge or face is not quite its worst point, and slopes change between vertices, so half the tolerance
+# is asked of the tested points.
 SHARE = 0.5
-MAX_PASSES = 8  # edges 256 times shorter: beyond that the zero set is a fold that float32 does not resolve
+# Flatter fields than this count as this flat: their distances are guesses.
+LEAST_SLOPE = 0.05
+# Vertices count as on the zero set at |f| up to ProjectConfig's tolerance; less than twice that cannot be asked.
+LEAST_LIMIT_M = 2 * ProjectConfig.tolerance_m
+# Edges 256 times shorter. At a sharp crease, where each pass gains a fifth only, some hundredths of a cell are left
+# then; networks of smooth activations have none.
+MAX_PASSES = 8
 
 
 def refine_mesh(
@@ -39,7 +46,8 @@ def refine_mesh(
 
     Returns
     -------
-    TriangleMesh : closed where `mesh` is, vertices of `mesh` first and unmoved, field normals at new ones.
+    TriangleMesh : closed where `mesh` is, vertices of `mesh` first, unmoved where they are on the zero set; field
+        normals at moved and new ones.
 
     Raises
     ------
@@ -48,6 +56,13 @@ def refine_mesh(
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     tested = np.empty(0, np.int64)  # keys of edges that need no split
     todo = np.ones(len(faces), bool)
+    limit = _limits(field, vertices, normals, tolerance_m, device)
+    off = np.flatnonzero(_far(field, vertices, limit, margin_m, device))  # vertices that are not on the zero set
+    reach = np.zeros(len(vertices))
+    if len(off):
+        ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
+        np.maximum.at(reach, ends[:, 0], 0.5 * length)
     for _ in range(MAX_PASSES):
         edges, face_edge = _edges(faces)
         keys = edge_keys(edges)
@@ -56,11 +71,12 @@ def refine_mesh(
         fresh &= ~np.isin(keys, tested)
         middle = 0.5 * (vertices[edges[:, 0]] + vertices[edges[:, 1]])
         split = np.zeros(len(edges), bool)
-        split[fresh] = _far(field, middle[fresh], SHARE * tolerance_m, margin_m, device)
+        split[fresh] = _far(field, middle[fresh], limit[edges[fresh]].min(1), margin_m, device)
         tested = np.union1d(tested, keys[fresh & ~split])
         # A face whose edges are all good may still bulge between them.
         whole = np.flatnonzero(todo & ~split[face_edge].any(1))
-        bulging = whole[_far(field, vertices[faces[whole]].mean(1), SHARE * tolerance_m, margin_m, device)]
+        own = faces[whole]
+        bulging = whole[_far(field, vertices[own].mean(1), limit[own].min(1), margin_m, device)]
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         longest = face_edge[np.arange(len(faces)), length[face_edge].argmax(1)]
         split[longest[bulging]] = True
@@ -77,22 +93,22 @@ def refine_mesh(
                 received=f"{len(faces) + 2 * int(split.sum())} so far",
                 remedy="use a larger tolerance",
             )
-        steps = ProjectConfig(max_distance_m=float(0.5 * length[split].max()))
-        moved = project_points(field, middle[split], steps, device=device)
-        reached = np.abs(moved.residual_m) <= 10 * steps.tolerance_m
-        # No point goes further than half its edge: it would pass its neighbours.
-        reached &= np.linalg.norm(moved.points - middle[split], axis=1) <= 0.5 * length[split]
         mean = normals[edges[split, 0]] + normals[edges[split, 1]]
-        reached &= (mean * moved.normals).sum(1) > 0.0
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-        added = np.where(reached[:, None], moved.points, middle[split])
         number = np.full(len(edges), -1)
-        number[split] = len(vertices) + np.arange(len(added))
-        faces, todo = _split_faces(faces, number[face_edge], np.concatenate([vertices, added]))
-        added = _unturned(np.concatenate([vertices, middle[split]]), added, faces, todo)
-        back = (added == middle[split]).all(1)
-        normals = np.concatenate([normals, np.where((reached & ~back)[:, None], moved.normals, mean)])
-        vertices = np.concatenate([vertices, added])
+        number[split] = len(vertices) + np.arange(len(mean))
+        vertices = np.concatenate([vertices, middle[split]])
+        faces, todo = _split_faces(faces, number[face_edge], vertices)
+        # No point goes further than half its edge, or it would pass its neighbours. Points that are not on the zero set
+        # yet, for a face would have turned over, try again beside smaller faces.
+        reach = np.concatenate([reach, 0.5 * length[split]])
+        limit = np.concatenate([limit, np.zeros(len(mean))])
+        off = np.concatenate([off, np.arange(len(vertices) - len(mean), len(vertices))])
+        flat = TriangleMesh(vertices, faces, np.concatenate([normals, mean]))
+        vertices, normals = _settle(field, flat, off, reach[off], device)
+        limit[off] = _limits(field, vertices[off], normals[off], tolerance_m, device)
+        off = off[_far(field, vertices[off], limit[off], margin_m, device)]
+        todo |= np.isin(faces, off).any(1)
     return TriangleMesh(vertices, faces, normals)
 
 
@@ -102,13 +118,62 @@ def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([key >> 32, key & 0xFFFFFFFF], 1), inverse.reshape(-1, 3)
 
 
-def _far(field: HeadField, points: np.ndarray, limit_m: float, margin_m: float, device: str) -> np.ndarray:
-    """(N,) bool: |f| > limit, away from the box."""
+def _limits(field: HeadField, points: np.ndarray, normals: np.ndarray, tolerance_m: float, device: str) -> np.ndarray:
+    """(N,) |f| that is allowed beside points of the zero set: half the tolerance times g."""
+    slope = np.zeros(len(points))
+    # Both ways: beside a crease the field is flat one way only.
+    for step in (tolerance_m, -tolerance_m):
+        value = _sdf(field, np.clip(points + step * normals, *BOUNDS_M), device)
+        slope = np.maximum(slope, np.abs(value) / tolerance_m)
+    return np.maximum(SHARE * tolerance_m * np.clip(slope, LEAST_SLOPE, 1.0), LEAST_LIMIT_M)
+
+
+def _sdf(field: HeadField, points: np.ndarray, device: str) -> np.ndarray:
+    return query(field, points, device=device, chunk=chunk_for(device)).sdf_m.astype(np.float64)
+
+
+def _settle(
+    field: HeadField,
+    mesh: TriangleMesh,
+    rows: np.ndarray,
+    reach_m: np.ndarray,
+    device: str,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and normals with those of `rows` moved onto the zero set, where no face turns over by it."""
+    steps = ProjectConfig(max_distance_m=float(reach_m.max()))
+    moved = project_points(field, mesh.vertices[rows], steps, device=device)
+    reached = np.abs(moved.residual_m) <= 10 * steps.tolerance_m
+    reached &= np.linalg.norm(moved.points - mesh.vertices[rows], axis=1) <= reach_m
+    vertices, normals = mesh.vertices.copy(), mesh.normals.copy()
+    vertices[rows[reached]], normals[rows[reached]] = moved.points[reached], moved.normals[reached]
+    mine = np.zeros(len(vertices), bool)
+    mine[rows] = True
+    touched = mesh.faces[mine[mesh.faces].any(1)]
+    before = _facing(mesh.vertices, mesh.normals, touched)
+    while True:
+        # A face may turn as far as its field normals say, for it may have cut across a crease before.
+        turned = _facing(vertices, normals, touched) < np.minimum(0.1, before)
+        back = np.unique(touched[turned])
+        back = back[(vertices[back] != mesh.vertices[back]).any(1)]
+        if not len(back):
+            break
+        vertices[back], normals[back] = mesh.vertices[back], mesh.normals[back]
+    return vertices, normals
+
+
+def _far(field: HeadField, points: np.ndarray, limit_m: np.ndarray, margin_m: float, device: str) -> np.ndarray:
+    """(N,) bool: |f| > limit (N,), away from the box."""
     far = np.zeros(len(points), bool)
     asked = np.flatnonzero(bounds_sdf(points) < -margin_m)
     if len(asked):
-        far[asked] = np.abs(query(field, points[asked], device=device, chunk=chunk_for(device)).sdf_m) > limit_m
+        far[asked] = np.abs(_sdf(field, points[asked], device)) > limit_m[asked]
     return far
+
+
+def _facing(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F,) cosine between each face's own normal and the mean of its vertices'."""
+    own, mean = face_cross_products(vertices, faces), normals[faces].mean(1)
+    return (own * mean).sum(1) / np.maximum(np.linalg.norm(own, axis=1) * np.linalg.norm(mean, axis=1), 1e-30)
 
 
 def _split_faces(faces: np.ndarray, middle: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -136,17 +201,3 @@ def _split_faces(faces: np.ndarray, middle: np.ndarray, vertices: np.ndarray) ->
     new = np.ones(sum(len(part) for part in out), bool)
     new[: len(out[0])] = False
     return np.concatenate(out), new
-
-
-def _unturned(flat: np.ndarray, added: np.ndarray, faces: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """The added vertices, those whose move turns a face over put back to where they stand in `flat`."""
-    old = len(flat) - len(added)
-    while True:
-        turned = turned_faces(flat, np.concatenate([flat[:old], added]), faces[new])
-        back = np.unique(faces[new][turned])
-        back = back[back >= old] - old
-        back = back[(added[back] != flat[old + back]).any(1)]
-        if not len(back):
-            return added
-        added = added.copy()
-        added[back] = flat[old + back]

@@ -189,3 +189,17 @@ def test_a_killed_appearance_fit_goes_on_to_the_same(journey, tmp_path, monkeypa
     resumed = fit_appearance(*arguments, config, checkpoint=checkpoint)
     np.testing.assert_array_equal(whole.light.amplitude, resumed.light.amplitude)
     torch.testing.assert_close(whole.head.z_s, resumed.head.z_s, rtol=0, atol=0)
+
+
+def test_levels_of_detail_and_a_tolerance_are_delivered(journey, tmp_path):
+    _, work = journey
+    settings = replace(SETTINGS, tolerance_mm=1.0, levels_of_detail=2)
+    other = pipeline.run(portrait(), settings, prior=ball_prior(), work=work)
+    assert 1e3 * other.facts.gap.greatest <= 1.0
+    counts = [len(a.mesh.faces) for a in (other.avatar, *other.levels)]
+    assert len(counts) == 3
+    assert counts[0] > counts[1] >= counts[2]
+    report = delivery.deliver(other, settings, tmp_path / "avatar")
+    assert {"avatar_lod1.glb", "avatar_lod2.glb"} <= {p.name for p in (tmp_path / "avatar").iterdir()}
+    assert [f for f, _ in report.files if "lod" in f] == ["avatar_lod1.glb", "avatar_lod2.glb"]
+    assert {"mesh_gap_max_mm", "field_evaluations"} <= {m.key for m in report.metrics}
