@@ -25,7 +25,6 @@ from sira_assets.mesh.clean import CleanConfig, clean_with_report
 from sira_assets.mesh.extract import ExtractConfig, extract_with_report
 from sira_assets.mesh.field_distance import field_distance
 from sira_assets.mesh.triangle_mesh import TriangleMesh
-from sira_assets.render.shading import ROUGHNESS
 from sira_assets.render.view import ViewRender, render_view
 from sira_assets.render.visibility_table import surface_visibility
 from sira_assets.scene.camera import Camera
@@ -218,7 +217,7 @@ def run(
             atlas,
             textures,
             light,
-            ROUGHNESS,
+            appearance.roughness,
             pose,
             portrait.metres_per_unit,
             portrait.name,
@@ -235,7 +234,8 @@ def run(
     ]
     levels = tuple(dressed(coarser, k) for k, coarser in enumerate(meshes, 1))
     camera = portrait.camera
-    view = stage("render", render_view, head, surface, camera, pose, light, shadows=shadows, device=device)
+    lit = (light, appearance.roughness)
+    view = stage("render", render_view, head, surface, camera, pose, *lit, shadows=shadows, device=device)
     doubts = portrait_doubts(portrait) + geometry_doubts(portrait, geometry, prior, view.hit) + appearance.warnings
     facts = MeshFacts(extracted, cleaned, gap)
     return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds), levels, facts)

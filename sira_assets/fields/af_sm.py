@@ -1,7 +1,7 @@
 """AF-SM, the appearance-factorisation model (SIRA section 3.2).
 
-Notation: x_ref, gamma from SA-SM's deformation; a(x_ref, gamma; z_a) diffuse albedo in (0, 1); s(x_ref; z_s) specular
-albedo, an F0 in (0, MAX_F0); l(z_l) -> N_l spherical gaussians (axis, log sharpness, log amplitude), in the canonical
+Notation: x_ref, gamma from SA-SM's deformation; a(x_ref, gamma; z_a) diffuse albedo in (0, 1); s(x_ref, a; z_s)
+specular albedo, an F0 in (0, MAX_F0); l(z_l) -> N_l spherical gaussians (axis, log sharpness, log amplitude), in the canonical
 frame.
 """
 
@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sira_assets.fields.mlp import MLP, encode, encoded_size, with_code
+from sira_assets.numerics.srgb import srgb_encode
 
 # Skin, hair, cloth and eyes reflect at most a tenth at normal incidence (index of refraction <= 1.9).
 MAX_F0 = 0.1
@@ -48,7 +49,7 @@ class AppearanceFactorModel(nn.Module):
             depth=c.albedo_depth,
         )
         self.specular = MLP(
-            encoded_size(3, c.specular_octaves) + c.specular_code_size,
+            encoded_size(3, c.specular_octaves) + 3 + c.specular_code_size,
             1,
             width=c.specular_width,
             depth=c.specular_depth,
@@ -64,9 +65,16 @@ class AppearanceFactorModel(nn.Module):
         inputs = torch.cat([encode(x_ref, self.config.albedo_octaves), gamma], -1)
         return torch.sigmoid(self.albedo(with_code(inputs, z_a)) - 1.0)
 
-    def specular_f0(self, x_ref: Float[Tensor, "N 3"], z_s: Float[Tensor, "..."]) -> Float[Tensor, " N"]:
-        """s: F0; 0.04 ks with ks near 0.8 before training."""
-        out = self.specular(with_code(encode(x_ref, self.config.specular_octaves), z_s))[:, 0]
+    def specular_f0(
+        self, x_ref: Float[Tensor, "N 3"], diffuse: Float[Tensor, "N 3"], z_s: Float[Tensor, "..."]
+    ) -> Float[Tensor, " N"]:
+        """s: F0; 0.04 ks with ks near 0.8 before training.
+
+        It reads the diffuse albedo, which the paper's does not: hair, brows, lips and cloth differ from skin in both,
+        and the photo shows the edges of the one and not of the other. No gradient goes back into `diffuse`.
+        """
+        inputs = torch.cat([encode(x_ref, self.config.specular_octaves), srgb_encode(diffuse.detach())], -1)
+        out = self.specular(with_code(inputs, z_s))[:, 0]
         return MAX_F0 * torch.sigmoid(out - 0.75)
 
     def lobes(

@@ -107,7 +107,7 @@ class FittedHead:
         diffuse = self.appearance.diffuse(x_ref, gamma, self.z_a)
         if self.refinement is not None:
             diffuse = (diffuse + self.refinement(x_ref, gamma)).clamp(0.0, 1.0)
-        return diffuse, self.specular_scale * self.appearance.specular_f0(x_ref, self.z_s)
+        return diffuse, self.specular_scale * self.appearance.specular_f0(x_ref, diffuse, self.z_s)
 
 
 def save_fitted(head: FittedHead, path: Path, header: dict | None = None) -> None:

@@ -35,12 +35,14 @@ class AppearanceFit:
 
     Parameters
     ----------
+    roughness : of the whole surface, GGX alpha is its square
     shadowed : whether the found light is to be seen with the head's own cast shadows
     warnings : what the fit had to mend, one line each
     """
 
     head: FittedHead
     light: SGLight
+    roughness: float
     shadowed: bool
     history: tuple[tuple[int, dict[str, float]], ...]
     decisions: tuple[FitDecision, ...]
@@ -99,7 +101,7 @@ def fit_appearance(
         evidence = Evidence.of(fit.points, fit.light.lobes(), fit.shares())
         evidence, shadowed, shadow_decision = needed_shadows(evidence)
         evidence, lobe_decision = needed_lobes(evidence)
-        head, specular_decision = needed_specular(head, evidence)
+        head, specular_decision = needed_specular(head, evidence, float(fit.roughness))
         lobes = evidence.lobes
         axis, sharpness, amplitude = (t.double().cpu().numpy() for t in lobes)
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)[:3, :3]
@@ -107,6 +109,7 @@ def fit_appearance(
     return AppearanceFit(
         head,
         SGLight(axis @ world_from_canonical.T, sharpness, amplitude),
+        float(fit.roughness),
         shadowed,
         record.history,
         (lobe_decision, specular_decision, *shadow_decision),
@@ -137,6 +140,8 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
         def look(step: int, generator: torch.Generator) -> None:
             if refine and step % c.rays.refresh == 0:
                 fit.look()
+            if k_s(step) > 0.5 and step % c.roughness_every == 0:
+                fit.settle_roughness(k_s=k_s(step), refine=refine)
 
         if aimed_at is None:
             return Stage(name, steps, groups, losses, enter=fit.enter_early, before_step=look)

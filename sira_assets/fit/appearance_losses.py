@@ -36,6 +36,7 @@ class AppearanceFitConfig:
     shadows : whether the head casts shadows on itself
     scheduled : False learns light, codes and the decoders' own weights all at once, with k_s = 1 and no refinement, in
         as many steps: what is left where there is no trained prior (the paper's ablation)
+    roughness_every : steps between two looks for a better roughness
     """
 
     steps_light: int = 150
@@ -58,6 +59,7 @@ class AppearanceFitConfig:
     grade: Grade = "accurate"
     shadows: bool = True
     scheduled: bool = True
+    roughness_every: int = 10
     rays: ShadowConfig = ShadowConfig()
     refinement: RefinementConfig = RefinementConfig()
     seed: int = 0
@@ -65,6 +67,10 @@ class AppearanceFitConfig:
 
 # d srgb_encode(x) / dx at x = 1: brighter than white, encoded values go on along this line, so that a gradient remains.
 SLOPE_AT_WHITE = 1.055 / 2.4
+# Steps in which the roughness is sought, where skin has been measured (Weyrich et al. 2006), and at how many points.
+ROUGHNESS_STEP = 0.02
+ROUGHNESS_RANGE = (0.3, 0.7)
+ROUGHNESS_POINTS = 4000
 # A channel of a clipped pixel counts as clipped from here, an 8-bit step below white.
 CLIPPED = 254.5 / 255.0
 
@@ -94,6 +100,7 @@ class AppearanceLosses:
         self.held = torch.ones(len(surface) if shadows is not None else 0, len(self.light.log_sharpness), device=device)
         self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
         self.z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
+        self.roughness = torch.tensor(ROUGHNESS, dtype=torch.float64)
         feature_size = surface.gamma.shape[-1]
         # Layers draw their first weights from the global generator: seeded here, and left as it was.
         with torch.random.fork_rng(devices=[]):
@@ -105,6 +112,7 @@ class AppearanceLosses:
         """All that the fit's steps change."""
         names = ("axis", "log_sharpness", "log_amplitude")
         own = {name: getattr(self.light, name) for name in names} | {"z_a": self.z_a, "z_s": self.z_s}
+        own["roughness"] = self.roughness
         own |= {f"refinement.{key}": value for key, value in self.refinement.state_dict().items()}
         if not self.config.scheduled:
             own |= {f"model.{key}": value for key, value in self.model.state_dict().items()}
@@ -150,19 +158,29 @@ class AppearanceLosses:
         rows = torch.randint(len(self.points), (count,), generator=generator, device=device)
         points = self.points.rows(rows)
         base = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
-        f0 = self.model.specular_f0(points.x_ref, self.prior.z_s.code(self.z_s))
         albedo = base
         if refine:
             base = base.detach()
             extra = self.refinement(points.x_ref, points.gamma)
             albedo = (base + extra).clamp(1e-4, 1.0)
+        f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
         lobes = self.light.lobes()
         if self.table is None:
             seen = None
         else:
             # While the light is sought its shadows pull at it; in the refinement it hardly moves.
             seen = self.held[rows] if refine else self.table.share(rows, *lobes[:2])
-        shading = shade(points.normals, points.view, albedo, k_s * f0, *lobes, visibility=seen, grade=c.grade)
+        roughness = float(self.roughness)
+        shading = shade(
+            points.normals,
+            points.view,
+            albedo,
+            k_s * f0,
+            *lobes,
+            roughness=roughness,
+            visibility=seen,
+            grade=c.grade,
+        )
         losses = {
             "colour": colour_error(shading.radiance, points),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
@@ -177,6 +195,29 @@ class AppearanceLosses:
             unseen = self.refinement(self.hidden[0][pick], self.hidden[1][pick])
             losses["unseen"] = c.unseen * unseen.abs().mean()
         return losses
+
+    @torch.no_grad()
+    def settle_roughness(self, *, k_s: float, refine: bool) -> None:
+        """Move the roughness by a step if that explains the photo better, everything else being as it is.
+
+        The closed form has no gradient in the roughness: GGX's energy comes from a table for each (`ggx_albedo`).
+        """
+        rows = torch.arange(0, len(self.points), max(1, len(self.points) // ROUGHNESS_POINTS), device=self.z_a.device)
+        points, lobes = self.points.rows(rows), self.light.lobes()
+        albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
+        if refine:
+            albedo = (albedo + self.refinement(points.x_ref, points.gamma)).clamp(1e-4, 1.0)
+        f0 = k_s * self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
+        seen = None if self.table is None else self.table.share(rows, *lobes[:2])
+
+        def error(roughness: float) -> float:
+            shading = shade(points.normals, points.view, albedo, f0, *lobes, roughness=roughness, visibility=seen)
+            return float(colour_error(shading.radiance, points))
+
+        now = float(self.roughness)
+        low, high = ROUGHNESS_RANGE
+        tried = [r for r in (now, now - ROUGHNESS_STEP, now + ROUGHNESS_STEP) if low <= r <= high]
+        self.roughness.fill_(round(min(tried, key=error), 6))
 
     @torch.no_grad()
     def _match_exposure(self) -> None:

@@ -94,11 +94,13 @@ def needed_lobes(evidence: Evidence) -> tuple[Evidence, FitDecision]:
 
 
 @torch.no_grad()
-def needed_specular(head: FittedHead, evidence: Evidence) -> tuple[FittedHead, FitDecision]:
+def needed_specular(head: FittedHead, evidence: Evidence, roughness: float) -> tuple[FittedHead, FitDecision]:
     """The head with or without highlights, by the mean error with them and with them taken away."""
     points = evidence.points
     albedo, f0 = head.reference_material(points.x_ref, points.gamma)
-    shading = shade(points.normals, points.view, albedo, f0, *evidence.lobes, visibility=evidence.visibility)
+    shading = shade(
+        points.normals, points.view, albedo, f0, *evidence.lobes, roughness=roughness, visibility=evidence.visibility
+    )
     errors = [
         float((srgb_encode(r) - points.rays.rgb).abs().mean()) for r in (shading.radiance, shading.diffuse_radiance)
     ]

@@ -85,6 +85,7 @@ def keep_appearance(fit: AppearanceFit, folder: Path, key: str) -> None:
     facts = {
         "key": key,
         "light": fit.light.to_dict(),
+        "roughness": fit.roughness,
         "shadowed": fit.shadowed,
         "warnings": fit.warnings,
         "history": fit.history,
@@ -110,6 +111,7 @@ def kept_appearance(folder: Path, key: str, *, device: str | torch.device = "cpu
     return AppearanceFit(
         head,
         SGLight.from_dict(facts["light"]),
+        facts["roughness"],
         facts["shadowed"],
         history,
         decisions,

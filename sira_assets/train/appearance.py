@@ -27,8 +27,8 @@ class AppearanceTrainConfig:
     """Weights and schedule; `smooth_m` is eps, the reach of the albedo's smoothness, in network units."""
 
     steps: int = 3000
-    scenes_per_step: int = 8
-    pixels: int = 384
+    scenes_per_step: int = 16
+    pixels: int = 192
     rate: float = 1.0e-3
     code_rate: float = 3.0e-3
     embedding: float = 1.0e-4
@@ -77,7 +77,8 @@ def appearance_losses(
     normals = nn.functional.normalize(gradient.detach(), dim=-1)
     x_ref, gamma = x_ref.detach(), gamma.detach()
     z_a, z_s = (batch.codes(table, c.pixels) for table in (codes.z_a, codes.z_s))
-    albedo, f0 = model.diffuse(x_ref, gamma, z_a), model.specular_f0(x_ref, z_s)
+    albedo = model.diffuse(x_ref, gamma, z_a)
+    f0 = model.specular_f0(x_ref, albedo, z_s)
     axis, sharpness, amplitude = model.lobes(batch.codes(codes.z_l))
     radiance = []
     for i in range(len(axis)):

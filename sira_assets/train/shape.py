@@ -27,12 +27,12 @@ class ShapeTrainConfig:
     """
 
     steps: int = 12000
-    scenes_per_step: int = 8
-    pixels: int = 192
-    surface: int = 96
-    volume: int = 64
-    volume_no_gradient: int = 256
-    anchors: int = 128
+    scenes_per_step: int = 16
+    pixels: int = 96
+    surface: int = 48
+    volume: int = 32
+    volume_no_gradient: int = 128
+    anchors: int = 64
     rate: float = 1.0e-3
     code_rate: float = 2.0e-3
     # The deformation opens after this many steps; until then the reference learns the heads' median.

@@ -93,7 +93,7 @@ def test_material_decoders_stay_in_their_ranges():
     torch.manual_seed(0)
     model = AppearanceFactorModel(SMALL_APPEARANCE, feature_size=3)
     x, g = 10 * torch.randn(200, 3), 10 * torch.randn(200, 3)
-    albedo, f0 = model.diffuse(x, g, 10 * torch.randn(4)), model.specular_f0(x, 10 * torch.randn(3))
+    albedo, f0 = model.diffuse(x, g, 10 * torch.randn(4)), model.specular_f0(x, torch.rand(len(x), 3), 10 * torch.randn(3))
     assert ((albedo >= 0) & (albedo <= 1)).all()
     assert ((f0 >= 0) & (f0 <= MAX_F0)).all()
     axis, sharpness, amplitude = model.lobes(100 * torch.randn(3, 4))

@@ -5,22 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from ball_prior import ball_prior
 from small_portrait import portrait
 
 from sira_assets import delivery, pipeline
 from sira_assets.errors import InputError
-from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
 from sira_assets.fields.fitted import RefinementConfig
-from sira_assets.fields.prior import CodeStatistics, Prior, freeze
-from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
 from sira_assets.fit.appearance_losses import AppearanceFitConfig
 from sira_assets.fit.geometry import GeometryFitConfig, fit_geometry
 from sira_assets.mesh.extract import ExtractConfig
 from sira_assets.texture.bake import BakeConfig
 from sira_assets.texture.unwrap import UnwrapConfig
 
-SHAPE = ShapeConfig(code_size=4, appearance_code_size=4, feature_size=2, deformation_width=16, reference_width=16)
-APPEARANCE = AppearanceConfig(albedo_code_size=3, specular_code_size=2, light_code_size=3, lobes=4, albedo_width=16)
 GEOMETRY = GeometryFitConfig(
     steps_appearance=4, steps_codes=6, steps_networks=4, pool=300, band_pool=100, rays=60, band_rays=40
 )
@@ -41,15 +37,6 @@ SETTINGS = pipeline.Settings(
     unwrap=UnwrapConfig(texture_size=64, methods=()),
     bake=BakeConfig(size=64, samples=1),
 )
-
-
-def ball_prior() -> Prior:
-    """Networks that have learnt nothing: the reference is a ball of ten centimetres."""
-    torch.manual_seed(3)
-    shape, appearance = ShapeAppearanceModel(SHAPE), AppearanceFactorModel(APPEARANCE, feature_size=2)
-    torch.nn.init.normal_(shape.reference.out.weight, std=1e-3)
-    statistics = [CodeStatistics.of(0.1 * torch.randn(12, size)) for size in (4, 4, 3, 2, 3)]
-    return Prior(freeze(shape), freeze(appearance), *statistics)
 
 
 def test_the_reference_is_never_changed_and_a_given_pose_is_kept():
