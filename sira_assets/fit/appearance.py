@@ -135,7 +135,8 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
 
     def stage(name: str, steps: int, groups, k_s=lambda step: 0.0, *, refine=False, aimed_at=None) -> Stage:
         def losses(step: int, generator: torch.Generator) -> dict[str, Tensor]:
-            return fit.losses(generator, k_s=k_s(step), refine=refine)
+            drift = refine and step >= c.drift_from * steps
+            return fit.losses(generator, k_s=k_s(step), refine=refine, drift=drift)
 
         def look(step: int, generator: torch.Generator) -> None:
             if refine and step % c.rays.refresh == 0:

@@ -36,6 +36,9 @@ class AppearanceFitConfig:
     shadows : whether the head casts shadows on itself
     scheduled : False learns light, codes and the decoders' own weights all at once, with k_s = 1 and no refinement, in
         as many steps: what is left where there is no trained prior (the paper's ablation)
+    drift : weight of the patches' mean refinement, see `_drift`; `drift_scale` the share of the base albedo from which
+        on a patch counts as of another material, `drift_cell` its size (network units), `drift_from` the share of the
+        refinement's steps after which the term sets in
     roughness_every : steps between two looks for a better roughness
     """
 
@@ -57,6 +60,10 @@ class AppearanceFitConfig:
     unseen: float = 0.5
     lobes: int | None = None
     grade: Grade = "accurate"
+    drift: float = 0.08
+    drift_scale: float = 0.12
+    drift_cell: float = 0.12
+    drift_from: float = 0.4
     shadows: bool = True
     scheduled: bool = True
     roughness_every: int = 10
@@ -145,13 +152,14 @@ class AppearanceLosses:
         if self.table is not None:
             self.held.copy_(self.shares())
 
-    def losses(self, generator: torch.Generator, *, k_s: float, refine: bool) -> dict[str, Tensor]:
+    def losses(self, generator: torch.Generator, *, k_s: float, refine: bool, drift: bool = False) -> dict[str, Tensor]:
         """Weighted loss terms of one step.
 
         Parameters
         ----------
         k_s : weight of the specular lobe
         refine : fit a_refine on the frozen base albedo
+        drift : hold the refinement's means over patches
         """
         c, device = self.config, self.points.x.device
         count = min(c.pixels, len(self.points))
@@ -194,7 +202,26 @@ class AppearanceLosses:
             pick = torch.randint(len(self.hidden[0]), (512,), generator=generator, device=device)
             unseen = self.refinement(self.hidden[0][pick], self.hidden[1][pick])
             losses["unseen"] = c.unseen * unseen.abs().mean()
+            if drift:
+                losses["drift"] = c.drift * self._drift(extra, base, points.x_ref, generator)
         return losses
+
+    def _drift(self, extra: Tensor, base: Tensor, x_ref: Tensor, generator: torch.Generator) -> Tensor:
+        """How far the mean refinement of patches leaves the base albedo, saturating (Geman and McClure).
+
+        What is even over a centimetre is light that the lobes could not make, unless it is so much that it must be
+        another material: collars, dyed hair.
+        """
+        c = self.config
+        shift = torch.rand(3, generator=generator, device=x_ref.device)
+        cells = torch.floor(x_ref / c.drift_cell + shift).long()
+        _, cell = torch.unique(cells, dim=0, return_inverse=True)
+        total = extra.new_zeros(int(cell.max()) + 1, 7)
+        total = total.index_add(0, cell, torch.cat([extra, base + 0.02, torch.ones_like(base[:, :1])], -1))
+        mean = total[:, :3] / total[:, 3:6].clamp_min(1e-6)
+        squared = mean.square()
+        robust = (squared / (c.drift_scale**2 + squared)).mean(-1)
+        return (total[:, 6] * robust).sum() / len(x_ref)
 
     @torch.no_grad()
     def settle_roughness(self, *, k_s: float, refine: bool) -> None:
