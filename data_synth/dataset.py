@@ -11,7 +11,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,7 +28,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 def write_dataset(
     out: str | os.PathLike,
     settings: SceneSettings,
-    indices: range,
+    indices: Sequence[int],
     *,
     workers: int = 1,
     scheduler: str | None = None,
@@ -105,7 +105,7 @@ def claim_folder(out: Path, settings: SceneSettings) -> None:
         )
 
 
-def remove_leftovers(out: Path, settings: SceneSettings, indices: range) -> None:
+def remove_leftovers(out: Path, settings: SceneSettings, indices: Sequence[int]) -> None:
     """Remove what killed runs had begun of these scenes and of this data set's own files.
 
     Two runs may share `out` at one time, but not scenes.

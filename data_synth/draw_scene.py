@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_canonical
+from data_synth.head.cover_params import is_plain
 from data_synth.occluders import sample_occluder
 from data_synth.one_thread import one_thread
 from data_synth.render import Occluder, RayScene, RenderConfig, Surface, render
@@ -17,6 +18,7 @@ from data_synth.scene_settings import SceneSettings
 from data_synth.subject import SkinTone, Subject, procedural_subject
 from data_synth.truth import full_truth
 from data_synth.write_scene import SynthScene
+from sira_assets.errors import InputError
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.canonical import similarity_scale, transform_points
@@ -25,6 +27,29 @@ from sira_assets.scene.canonical import similarity_scale, transform_points
 ROUGHNESS_RANGE = (0.32, 0.52)
 FRAMED_ABOVE_M = -0.125  # canonical y: the head down to just below the chin is what cameras frame
 FACE_RADIUS_M = 0.095  # around the nose tip, as measured regions have it
+
+
+def plain_indices(settings: SceneSettings, start: int, count: int) -> list[int]:
+    """The first `count` scenes from `start` on whose head wears nothing and no hair beside or below the face.
+
+    Hats, scarves, long beards and hanging hair are shapes of their own beside the head: a shape model with one
+    reference learns heads better without them.
+
+    Raises
+    ------
+    InputError : the scenes show a scan.
+    """
+    from data_synth.head.params import sample_params
+
+    if settings.scan is not None:
+        raise InputError(expected="procedural heads", received="a scan", remedy="leave --plain away")
+    found = []
+    while len(found) < count:
+        head = np.random.default_rng(settings.stream(start).spawn(5)[0])
+        if is_plain(sample_params(head)):
+            found.append(start)
+        start += 1
+    return found
 
 
 @one_thread

@@ -39,6 +39,9 @@ def parser() -> argparse.ArgumentParser:
         help="light every scene by one of these .exr or .hdr lat-long panoramas, turned about the vertical at random",
     )
     out.add_argument(
+        "--plain", action="store_true", help="pass over heads with hats, scarves, hanging hair or long beards"
+    )
+    out.add_argument(
         "--crops", type=float, default=0.0, metavar="SHARE", help="of scenes that cut the head (default 0)"
     )
     out.add_argument(
@@ -178,6 +181,10 @@ def make_scenes(arguments: argparse.Namespace) -> int:
             if not arguments.quiet:
                 print(f"{settings.scan.name}: {note}", file=sys.stderr)
     indices = range(arguments.start, arguments.start + arguments.count)
+    if arguments.plain:
+        from data_synth.draw_scene import plain_indices
+
+        indices = plain_indices(settings, arguments.start, arguments.count)
     claim_folder(arguments.out, settings)  # here, so that a refusal is not printed into the progress bar
 
     from rich.console import Console

@@ -141,3 +141,10 @@ class Dress:
         one_of("a garment", self.garment, GARMENTS)
         one_of("headwear", self.headwear, HEADWEAR)
         one_of("a pattern", self.pattern, PATTERNS)
+
+
+def is_plain(params) -> bool:
+    """Whether a head (`HeadParams`) wears no hat and no scarf, and neither afro, hanging hair nor a long beard."""
+    hanging = params.hair_style in ("afro", "bob", "long", "wavy")
+    worn = params.dress.headwear != "none" or params.dress.garment == "scarf"
+    return not (hanging or worn or params.groom.beard == "long")

@@ -1,0 +1,36 @@
+"""Which heads `--plain` passes over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data_synth.draw_scene import plain_indices
+from data_synth.head.cover_params import is_plain
+from data_synth.head.params import sample_params
+from data_synth.scene_settings import SceneSettings
+
+
+def test_hats_scarves_hanging_hair_and_long_beards_are_not_plain():
+    drawn = sample_params(np.random.default_rng(2))
+    plain = replace(
+        drawn,
+        hair_style="short",
+        groom=replace(drawn.groom, beard="full"),
+        dress=replace(drawn.dress, headwear="none", garment="shirt"),
+    )
+    assert is_plain(plain)
+    assert not is_plain(replace(plain, hair_style="wavy"))
+    assert not is_plain(replace(plain, groom=replace(plain.groom, beard="long")))
+    for dress in ({"headwear": "cap"}, {"garment": "scarf"}):
+        assert not is_plain(replace(plain, dress=replace(plain.dress, **dress)))
+
+
+def test_the_first_plain_scenes_are_the_same_scenes_by_the_same_numbers():
+    settings = SceneSettings()
+    few, more = plain_indices(settings, 0, 5), plain_indices(settings, 0, 20)
+    assert more[:5] == few
+    assert more == sorted(set(more))
+    assert plain_indices(settings, more[3], 2) == more[3:5]
+    # about half of all heads are plain
+    assert more[-1] == pytest.approx(40, abs=20)
