@@ -1,8 +1,8 @@
 """AF-SM, the appearance-factorisation model (SIRA section 3.2).
 
 Notation: x_ref, gamma from SA-SM's deformation; a(x_ref, gamma; z_a) diffuse albedo in (0, 1); s(x_ref, a; z_s)
-specular albedo, an F0 in (0, MAX_F0); l(z_l) -> N_l spherical gaussians (axis, log sharpness, log amplitude), in the canonical
-frame.
+specular albedo, an F0 in (0, MAX_F0); l(z_l) -> N_l spherical gaussians (axis, log sharpness, log amplitude), in the
+canonical frame.
 """
 
 from dataclasses import dataclass

@@ -78,15 +78,7 @@ def fit_geometry(
             if step % c.retrace == 0 and (step == 0 or geometry):
                 fit.retrace(generator)
 
-        return Stage(
-            name,
-            steps,
-            groups,
-            lambda step, g: fit.losses(g, geometry=geometry, done=step / steps),
-            begin,
-            enter,
-            before_step,
-        )
+        return Stage(name, steps, groups, lambda _, g: fit.losses(g, geometry=geometry), begin, enter, before_step)
 
     def shape_groups(rate: float) -> list[tuple[list[Tensor], float]]:
         pose = [([fit.pose.rotation, fit.pose.translation], c.rate_pose)] if portrait.pose_is_estimated else []

@@ -51,9 +51,8 @@ class GeometryFitConfig:
     reach: float = 0.1
     reach_networks: float = 0.8
     # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
-    # a hole in the render. At phase B's beginning and end, geometric between.
+    # a hole in the render.
     cover: float = 8.0
-    cover_last: float = 8.0
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -139,11 +138,8 @@ class GeometryLosses:
         self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.deepest(self.model, z_sdf, self.pose)
 
-    def losses(self, generator: torch.Generator, *, geometry: bool, done: float = 0.0) -> dict[str, Tensor]:
-        """Weighted loss terms of one step; without `geometry` only the appearance code learns.
-
-        done : share of the stage's steps that are done
-        """
+    def losses(self, generator: torch.Generator, *, geometry: bool) -> dict[str, Tensor]:
+        """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
         c = self.config
         z_sdf, z_r = self.codes()
         usable = self.inside.hit & self.inside.every.usable[self.inside.index]
@@ -173,7 +169,7 @@ class GeometryLosses:
         colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
             "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
-            "silhouette": c.silhouette * self._silhouette(z_sdf, generator, done),
+            "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
             "prior": c.prior * self.coefficients.square().sum(),
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
         }
@@ -187,7 +183,7 @@ class GeometryLosses:
             losses["anchor"], losses["slope"] = c.anchor * far, c.slope * uneven
         return losses
 
-    def _silhouette(self, z_sdf: Tensor, generator: torch.Generator, done: float) -> Tensor:
+    def _silhouette(self, z_sdf: Tensor, generator: torch.Generator) -> Tensor:
         """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
         c = self.config
         # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside.
@@ -204,8 +200,7 @@ class GeometryLosses:
         # Saturating: hair and clothes that no code can reach must not bend the face. The networks can reach further.
         reach = c.reach_networks if self.networks_open else c.reach
         robust = reach * off / (reach + off)
-        cover = c.cover ** (1.0 - done) * c.cover_last**done if self.networks_open else 1.0
-        weight = torch.where(rays.in_mask, cover, 1.0)
+        weight = torch.where(rays.in_mask & self.networks_open, c.cover, 1.0)
         return 10.0 * chance.mean() * (weight * robust).sum() / max(len(chosen), 1)
 
     def _anchor(self, x: Tensor, z_sdf: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 Notation: a fit is a list of stages; step s counts through all of them. Random numbers of a step are a function of
 (seed, s), and a checkpoint holds every tensor that steps change, so that a killed fit goes on to the same result. A fit
-that keeps a pace does as many steps as the clock lets it, so it cannot be gone on with exactly, and keeps no checkpoint.
+that keeps a pace does as many steps as the clock lets it, so it cannot be gone on with exactly and keeps no checkpoint.
 """
 
 import json

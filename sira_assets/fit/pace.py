@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-# Steps after which their mean time is worth going by, and how many of the last ones it is taken over: twice the 40 steps
-# after which a geometry fit traces its rays anew.
+# Steps after which their mean time is worth going by, and how many of the last ones it is taken over: twice the 40
+# steps after which a geometry fit traces its rays anew.
 FEWEST = 4
 WINDOW = 80
 

@@ -17,8 +17,8 @@ LEAST_SIDE = 16
 def reduced(portrait: Portrait, longest_side: int) -> Portrait:
     """The portrait with at most `longest_side` pixels a side, by averages of whole blocks of pixels.
 
-    A reduced pixel is head where most of its block is, and counts as clipped where any of its pixels is, for its mean is
-    then too low.
+    A reduced pixel is head where most of its block is, and clipped where any of its pixels is: its mean is then
+    too low.
 
     Parameters
     ----------

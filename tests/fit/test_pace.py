@@ -1,5 +1,6 @@
 """A stage that keeps a pace ends on time whatever its steps cost, and its schedule keeps its shape."""
 
+import itertools
 import math
 
 import pytest
@@ -43,7 +44,7 @@ def test_a_stage_ends_when_it_should(seconds):
     # One step more or less; a stage that has time enough does what was planned.
     assert ended == pytest.approx(min(100.0, 200 * seconds), abs=seconds + 1e-6)
     assert p[0] == 0.0
-    assert all(b > a for a, b in zip(p, p[1:], strict=False))
+    assert all(b > a for a, b in itertools.pairwise(p))
     # The schedule runs to its end: what is left is one step, of those after the first few, which are as planned.
     assert 1.0 - p[-1] <= 1.5 / (len(p) - FEWEST)
 
@@ -58,11 +59,11 @@ def test_a_machine_that_slows_down_or_has_slow_steps_now_and_then_is_followed():
     slow_later = lambda n: 0.2 if n < 100 else 0.8  # noqa: E731
     p, ended = played(300, slow_later, 60.0)
     assert ended == pytest.approx(60.0, abs=1.0)
-    assert max(b - a for a, b in zip(p, p[1:], strict=False)) < 0.05  # no leap in the schedule
+    assert max(b - a for a, b in itertools.pairwise(p)) < 0.05  # no leap in the schedule
     traced_anew = lambda n: 5.0 if n % 40 == 0 else 0.2  # noqa: E731
     p, ended = played(200, traced_anew, 30.0)
     assert ended == pytest.approx(30.0, abs=5.0)
-    assert max(b - a for a, b in zip(p, p[1:], strict=False)) < 0.1
+    assert max(b - a for a, b in itertools.pairwise(p)) < 0.1
 
 
 def test_no_time_at_all_is_one_step():
