@@ -141,8 +141,9 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
         def look(step: int, generator: torch.Generator) -> None:
             if refine and step % c.rays.refresh == 0:
                 fit.look()
-            if k_s(step) > 0.5 and step % c.roughness_every == 0:
-                fit.settle_roughness(k_s=k_s(step), refine=refine)
+            # Before the refinement can take highlights into the albedo.
+            if not refine and k_s(step) > 0.5 and step % c.roughness_every == 0:
+                fit.settle_roughness(k_s=k_s(step))
 
         if aimed_at is None:
             return Stage(name, steps, groups, losses, enter=fit.enter_early, before_step=look)

@@ -62,7 +62,7 @@ class AppearanceFitConfig:
     lobes: int | None = None
     grade: Grade = "accurate"
     face: float = 5.0
-    drift: float = 0.08
+    drift: float = 0.02
     drift_scale: float = 0.12
     drift_cell: float = 0.12
     drift_from: float = 0.4
@@ -231,7 +231,7 @@ class AppearanceLosses:
         return (total[:, 6] * robust).sum() / len(x_ref)
 
     @torch.no_grad()
-    def settle_roughness(self, *, k_s: float, refine: bool) -> None:
+    def settle_roughness(self, *, k_s: float) -> None:
         """Move the roughness by a step if that explains the photo better, everything else being as it is.
 
         The closed form has no gradient in the roughness: GGX's energy comes from a table for each (`ggx_albedo`).
@@ -239,8 +239,6 @@ class AppearanceLosses:
         rows = torch.arange(0, len(self.points), max(1, len(self.points) // ROUGHNESS_POINTS), device=self.z_a.device)
         points, lobes = self.points.rows(rows), self.light.lobes()
         albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
-        if refine:
-            albedo = (albedo + self.refinement(points.x_ref, points.gamma)).clamp(1e-4, 1.0)
         f0 = k_s * self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
         seen = None if self.table is None else self.table.share(rows, *lobes[:2])
 

@@ -40,6 +40,6 @@ def test_the_roughness_of_a_rendered_ball_is_found(truth):
     fit.points = replace(surface, rays=replace(surface.rays, rgb=rgb))
     assert float(fit.roughness) == ROUGHNESS
     for _ in range(12):
-        fit.settle_roughness(k_s=1.0, refine=False)
+        fit.settle_roughness(k_s=1.0)
     # Everything else is as it was rendered, so only the step limits it.
     assert abs(float(fit.roughness) - truth) <= ROUGHNESS_STEP / 2
