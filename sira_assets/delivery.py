@@ -5,7 +5,7 @@ Everything is written into a folder beside the target, which takes the target's 
 
 import os
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -78,8 +78,13 @@ def check_target(folder: Path, *, overwrite: bool, marker: str = "report.json", 
         )
 
 
-def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
-    """Write everything a run made into `folder`, whole or not at all, and give its report."""
+def deliver(journey: Journey, settings: Settings, folder: Path, *, decisions: tuple[Decision, ...] = ()) -> Report:
+    """Write everything a run made into `folder`, whole or not at all, and give its report.
+
+    Parameters
+    ----------
+    decisions : to be reported beside the run's own, such as a plan's
+    """
     with replacing_folder(folder) as fresh:
         write_avatar(journey.avatar, fresh, settings.export, levels=journey.levels)
         save_fitted(journey.appearance.head, fresh / "field.safetensors")
@@ -94,6 +99,7 @@ def deliver(journey: Journey, settings: Settings, folder: Path) -> Report:
         write_exr(fresh / "renders" / "final.exr", journey.view.final, header=said)
         viewer = viewer_scene(fresh / "avatar.glb", shadows=journey.appearance.shadowed)
         report = _report(journey, settings, pictures, exported, viewer)
+        report = replace(report, decisions=(*decisions, *report.decisions))
         write_report_json(report, fresh / "report.json")
         write_report_html(report, fresh / "report.html")
     return report

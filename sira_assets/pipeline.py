@@ -19,6 +19,7 @@ from sira_assets.fit.appearance_losses import AppearanceFitConfig
 from sira_assets.fit.doubts import geometry_doubts, portrait_doubts
 from sira_assets.fit.geometry import GeometryFit, GeometryFitConfig, fit_geometry
 from sira_assets.fit.loop import Checkpoint
+from sira_assets.fit.pace import Pace
 from sira_assets.fit.stored import fit_key, keep_appearance, keep_geometry, kept_appearance, kept_geometry
 from sira_assets.mesh.asset_mesh import EXTRACT_SHARE, MeshFacts, asset_mesh, level_of_detail
 from sira_assets.mesh.clean import CleanConfig, clean_with_report
@@ -29,6 +30,7 @@ from sira_assets.render.view import ViewRender, render_view
 from sira_assets.render.visibility_table import surface_visibility
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.portrait import Portrait
+from sira_assets.scene.reduce import reduced
 from sira_assets.texture.bake import BakeConfig, bake
 from sira_assets.texture.texture_set import DEFAULT_MAPS, check_maps
 from sira_assets.texture.texture_size import photo_texture_size
@@ -44,6 +46,7 @@ class Settings:
     max_triangles : of the exported mesh, where `tolerance_mm` does not decide
     tolerance_mm : greatest distance of the exported mesh from the field's zero set, canonical mm; or None
     levels_of_detail : how many coarser avatars come beside the full one
+    photo_side : the fits read the photo at no more than so many pixels a side; None: as it is
     """
 
     quality: str = "standard"
@@ -58,12 +61,40 @@ class Settings:
     bake: BakeConfig = BakeConfig()
     export: ExportConfig = ExportConfig()
     texels_per_pixel: float | None = None  # where the photo decides the texture size; None: `bake.size` does
+    photo_side: int | None = None
     seed: int = 0
 
 
 @dataclass(frozen=True)
+class Timetable:
+    """When a run's fits are to be over, and what becomes of the asset's settings if they were late.
+
+    Parameters
+    ----------
+    revised : settings for what comes after the fits
+    """
+
+    geometry: Pace
+    appearance: Pace
+    revised: Callable[[Settings], Settings]
+
+
+Call = Callable[..., object]
+
+
+def call(name: str, function: Callable, *arguments, **options):
+    """Run a stage: what `run` does where it is not told otherwise."""
+    return function(*arguments, **options)
+
+
+@dataclass(frozen=True)
 class Journey:
-    """All that a run made, stage by stage."""
+    """All that a run made, stage by stage.
+
+    Parameters
+    ----------
+    settings : as they were kept to
+    """
 
     portrait: Portrait
     geometry: GeometryFit
@@ -75,6 +106,7 @@ class Journey:
     seconds: tuple[tuple[str, float], ...]
     levels: tuple[Avatar, ...]  # coarser ones, each with maps of its own
     facts: MeshFacts
+    settings: Settings
 
 
 def settings_for(
@@ -151,6 +183,8 @@ def run(
     prior: Prior | None = None,
     work: Path | None = None,
     device: str = "cpu",
+    timetable: Timetable | None = None,
+    runner: Call = call,
     report: Callable[[str, int, int], None] = lambda stage, done, steps: None,
 ) -> Journey:
     """Turn one portrait into an avatar, in memory.
@@ -159,6 +193,8 @@ def run(
     ----------
     prior : the trained models; the shipped ones if None
     work : folder in which the two fits are kept as they finish and found again by a later run of the same settings
+    timetable : keep to it, steps and texture size as the clock allows; not together with `work`
+    runner : called with (stage, function, arguments) instead of the function, for those who measure or keep stages
     report : called with (stage, steps done, steps in all)
     """
     seconds: list[tuple[str, float]] = []
@@ -168,41 +204,50 @@ def run(
         report(name, 0, 1)
         if function in (fit_geometry, fit_appearance):
             options["report"] = lambda done, steps: report(name, done, steps)
-        out = function(*args, **options)
+        out = runner(name, function, *args, **options)
         report(name, 1, 1)
         seconds.append((name, time.monotonic() - started))
         return out
 
     prior = stage("load prior", load_prior) if prior is None else prior
     prior = prior.to(device)
-    key = fit_key(portrait, prior, repr(settings.geometry))
+    if timetable is not None and work is not None:
+        raise ValueError("a run against the clock cannot be gone on with: give either work or timetable")
+    seen = reduced(portrait, settings.photo_side) if settings.photo_side else portrait
+    key = fit_key(seen, prior, repr(settings.geometry))
     geometry = kept_geometry(work, key, device=device) if work else None
     if geometry is not None:
         seconds.append(("fit geometry", geometry.seconds))
     else:
         partial = Checkpoint(work / "geometry-partial.safetensors", key) if work else None
-        given = (portrait, prior, settings.geometry)
-        geometry = stage("fit geometry", fit_geometry, *given, device=device, checkpoint=partial)
+        given = (seen, prior, settings.geometry)
+        kept = {"checkpoint": partial, "pace": timetable.geometry if timetable else None}
+        geometry = stage("fit geometry", fit_geometry, *given, device=device, **kept)
         if work:
             keep_geometry(geometry, work, key)
             partial.path.unlink(missing_ok=True)
-    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    posed, seen = (replace(p, canonical_from_world=geometry.canonical_from_world) for p in (portrait, seen))
     shape = unlit_head(geometry, prior)
     surface, extracted = stage("extract", extract_with_report, shape, settings.extract, device=device)
     surface, cleaned = stage("clean", clean_with_report, surface, settings.clean)
-    key = fit_key(portrait, prior, repr((settings.geometry, settings.extract, settings.clean, settings.appearance)))
+    key = fit_key(seen, prior, repr((settings.geometry, settings.extract, settings.clean, settings.appearance)))
     appearance = kept_appearance(work, key, device=device) if work else None
     if appearance is not None:
         seconds.append(("fit appearance", appearance.seconds))
     else:
         partial = Checkpoint(work / "appearance-partial.safetensors", key) if work else None
-        given = (posed, geometry, prior, surface, settings.appearance)
-        appearance = stage("fit appearance", fit_appearance, *given, checkpoint=partial)
+        given = (seen, geometry, prior, surface, settings.appearance)
+        kept = {"checkpoint": partial, "pace": timetable.appearance if timetable else None}
+        appearance = stage("fit appearance", fit_appearance, *given, **kept)
         if work:
             keep_appearance(appearance, work, key)
             partial.path.unlink(missing_ok=True)
+    settings = timetable.revised(settings) if timetable else settings
     head, light, pose = appearance.head, appearance.light, geometry.canonical_from_world
-    shadows = stage("shadows", surface_visibility, surface, light, pose) if appearance.shadowed else None
+    shadows = None
+    if appearance.shadowed:
+        rays = settings.appearance.rays.aimed
+        shadows = stage("shadows", surface_visibility, surface, light, pose, directions=rays)
     to_world = np.linalg.inv(pose)
 
     def dressed(mesh: TriangleMesh, level: int = 0) -> Avatar:
@@ -238,4 +283,4 @@ def run(
     view = stage("render", render_view, head, surface, camera, pose, *lit, shadows=shadows, device=device)
     doubts = portrait_doubts(portrait) + geometry_doubts(portrait, geometry, prior, view.hit) + appearance.warnings
     facts = MeshFacts(extracted, cleaned, gap)
-    return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds), levels, facts)
+    return Journey(posed, geometry, appearance, surface, avatar, view, doubts, tuple(seconds), levels, facts, settings)

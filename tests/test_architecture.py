@@ -24,6 +24,7 @@ ROOMS = (
     "viewer",
     "measure",
     "pipeline",
+    "plan",
     "delivery",
 )
 GROUND = {"errors", "atomic"}

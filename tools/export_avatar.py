@@ -6,10 +6,13 @@ photo needs --landmarks and --mask.
     python tools/export_avatar.py
     python tools/export_avatar.py SCENE_DIR --out avatar --quality draft
     python tools/export_avatar.py photo.jpg --mask mask.png --landmarks landmarks.json
+    python tools/export_avatar.py SCENE_DIR --budget 60s
 """
 
 import argparse
+import re
 import sys
+import time
 from pathlib import Path
 
 import _cli
@@ -31,7 +34,15 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("scene", nargs="?", type=Path, help="scene folder or photo (default: the bundled portrait)")
     p.add_argument("--out", type=Path, default=Path("avatar"), help="folder to write (default: avatar)")
-    p.add_argument("--quality", choices=["draft", "standard", "high"], default="standard")
+    how = p.add_mutually_exclusive_group()
+    how.add_argument("--quality", choices=["draft", "standard", "high"], default="standard")
+    how.add_argument(
+        "--budget",
+        type=duration,
+        metavar="TIME",
+        help="be done within this time (60s, 5min) with as much accuracy as it buys on this machine",
+    )
+    p.add_argument("--dry-run", action="store_true", help="print what would be done, its seconds and memory, and stop")
     p.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--mask", type=Path, help="white on the head; overrides the scene's")
@@ -71,8 +82,18 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+def duration(text: str) -> float:
+    """Seconds of 90, 90s, 1.5min or 0.1h."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(s|sec|m|min|h)?", text.strip())
+    seconds = float(found[1]) * {"m": 60.0, "min": 60.0, "h": 3600.0}.get(found[2], 1.0) if found else 0.0
+    if not 0.0 < seconds < 1e6:
+        raise argparse.ArgumentTypeError(f"a time such as 60s or 5min, not {text!r}")
+    return seconds
+
+
 def body(args: argparse.Namespace) -> int:
     """Read, fit, export."""
+    began = time.monotonic()
     import json
     import shutil
     from dataclasses import replace
@@ -114,11 +135,22 @@ def body(args: argparse.Namespace) -> int:
         check_usd()
     check_target(args.out, overwrite=args.overwrite)
     prior = load_prior(args.prior)
+    plan, timetable, keeping = None, None, None
+    if args.budget or args.dry_run:
+        from _export_plan import asked_plan, print_plan
+
+        plan, timetable, keeping = asked_plan(args, settings, prior, began, device=device)
+        settings = plan.settings
+        if not args.quiet or args.dry_run:
+            print_plan(plan, as_json=args.json and args.dry_run)
+        if args.dry_run:
+            return 0
     args.out = args.out.resolve()
     work = args.out.parent / f".{args.out.name}-work"
     if not args.resume:
         shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True, exist_ok=True)
+    if timetable is None:
+        work.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description:16}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     tasks: dict[str, object] = {}
     with Progress(*columns, console=Console(stderr=True), disable=args.quiet or args.json) as progress:
@@ -129,17 +161,25 @@ def body(args: argparse.Namespace) -> int:
             progress.update(tasks[stage], completed=done, total=steps)
 
         try:
-            journey = run(portrait, settings, prior=prior, work=work, device=device, report=report)
+            kept = work if timetable is None else None
+            journey = run(portrait, settings, prior=prior, work=kept, device=device, timetable=timetable, report=report)
         except KeyboardInterrupt:
-            print(f"stopped; the same command with --resume goes on ({work})", file=sys.stderr)
+            if kept:
+                print(f"stopped; the same command with --resume goes on ({work})", file=sys.stderr)
             raise
-    made = deliver(journey, settings, args.out)
+    decisions = ()
+    if plan is not None:
+        from sira_assets.plan.present import plan_decisions
+
+        decisions = plan_decisions(plan, keeping, time.monotonic() - began)
+    made = deliver(journey, journey.settings, args.out, decisions=decisions)
     shutil.rmtree(work, ignore_errors=True)
     if args.json:
         print(json.dumps(report_dict(made), indent=1))
     elif not args.quiet:
         headline = ", ".join(f"{m.label} {m.value:.{m.digits}f} {m.unit}".strip() for m in made.metrics if m.headline)
-        print(f"{args.out / 'avatar.glb'}  ({headline}; {made.total_seconds:.0f} s)  see {args.out / 'report.html'}")
+        seconds = time.monotonic() - began
+        print(f"{args.out / 'avatar.glb'}  ({headline}; {seconds:.0f} s)  see {args.out / 'report.html'}")
     for line in made.warnings if not (args.quiet or args.json) else ():
         print(f"note: {line}", file=sys.stderr)
     return 0
@@ -157,6 +197,11 @@ def main(argv: list[str] | None = None) -> int:
         p.error("--tolerance must be 0.05 to 5")
     if not 0 <= args.levels_of_detail <= 4:
         p.error("--levels-of-detail must be 0 to 4")
+    if args.budget and args.resume:
+        p.error("--resume: steps within a --budget depend on the clock, so such a run cannot be gone on with")
+    for given in ("texture_size", "max_triangles"):
+        if args.budget and getattr(args, given) is not None:
+            p.error(f"--{given.replace('_', '-')}: a --budget chooses it")
     return _cli.run(lambda: body(args))
 
 

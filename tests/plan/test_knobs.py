@@ -1,0 +1,61 @@
+"""Every knob puts what it reads, leaves the rest alone, and says which stages it touches."""
+
+from dataclasses import replace
+
+import pytest
+
+from sira_assets.pipeline import Settings, settings_for
+from sira_assets.plan.knobs import KNOBS, knob, place
+
+STAGES = {
+    "fit geometry",
+    "extract",
+    "clean",
+    "fit appearance",
+    "shadows",
+    "simplify",
+    "unwrap",
+    "bake",
+    "render",
+    "write",
+}
+
+
+@pytest.mark.parametrize("one", KNOBS, ids=lambda k: k.name)
+def test_a_knob_reads_what_it_puts_and_turns_nothing_else(one):
+    for quality in ("draft", "standard", "high"):
+        start = settings_for(quality)
+        for value in one.values:
+            settings = one.put(start, value)
+            read = one.read(settings)
+            # Steps and rays are whole numbers: a factor of 0.06 of 80 steps is 5 of them.
+            assert read == (value if isinstance(value, str) else pytest.approx(value, rel=0.03))
+            others = [k for k in KNOBS if k is not one]
+            assert [k.read(settings) for k in others] == [k.read(start) for k in others]
+    assert set(one.stages) <= STAGES
+
+
+def test_defaults_are_what_a_knob_says_of_them():
+    settings = Settings()
+    assert knob("geometry steps").put(settings, 1.0) == settings
+    assert knob("appearance steps").put(settings, 1.0) == settings
+    assert knob("geometry rays").put(settings, 1.0) == settings
+    assert replace(settings, photo_side=None) == knob("photo size").put(settings, "all")
+    with pytest.raises(KeyError):
+        knob("luck")
+
+
+def test_names_are_different():
+    assert len({k.name for k in KNOBS}) == len(KNOBS)
+
+
+def test_places_between_measured_values():
+    assert place((1.0, 4.0, 16.0), 4.0) == (1, 1, 0.0)
+    assert place((1.0, 4.0, 16.0), 8.0) == (1, 2, pytest.approx(0.5))
+    assert place((16.0, 4.0, 1.0), 2.0) == (2, 1, pytest.approx(0.5))
+    assert place((1.0, 4.0), 0.1) == (0, 0, 0.0)
+    assert place((1.0, 4.0), 99.0) == (1, 1, 0.0)
+    assert place((64, 128, "all"), "all") == (2, 2, 0.0)
+    assert place((64, 128, "all"), 90) == (0, 1, pytest.approx(0.49, abs=0.01))
+    assert place((0, 64, 256), 0) == (0, 0, 0.0)
+    assert place(("fast", "accurate"), "accurate") == (1, 1, 0.0)
