@@ -29,6 +29,7 @@ class Record:
     stages : name -> (processor seconds, wall-clock seconds, bytes at the peak)
     benchmark : processor seconds of the three pieces of work, at that moment
     measures : name -> value
+    as_reference : stages that were not run, for the setting does not reach them
     """
 
     scene: str
@@ -38,6 +39,7 @@ class Record:
     stages: dict[str, tuple[float, float, int]]
     benchmark: dict[str, float]
     measures: dict[str, float]
+    as_reference: tuple[str, ...] = ()
 
     def seconds(self, stage: str | None = None) -> float:
         """Processor seconds of a stage, or of all."""
@@ -84,8 +86,9 @@ def compared(records: Sequence[Record]) -> list[Setting]:
             here, there = Benchmark(**r.benchmark), Benchmark(**ref.benchmark)
             stages = [s for s in ref.stages if s != START]
             # A stage that a setting does without costs nothing.
-            took = {s: r.stages.get(s, (0.0, 0.0, 0)) for s in stages}
-            scaled = {s: took[s][0] / (speed(s, here, there) if r is not ref else 1.0) for s in stages}
+            took = {s: ref.stages[s] if s in r.as_reference else r.stages.get(s, (0.0, 0.0, 0)) for s in stages}
+            same = lambda s, r=r, ref=ref: r is ref or s in r.as_reference  # noqa: E731
+            scaled = {s: took[s][0] / (1.0 if same(s) else speed(s, here, there)) for s in stages}
             total.append(sum(scaled.values()) / sum(ref.seconds(s) for s in stages))
             wall.append(sum(t[1] for t in took.values()) / sum(ref.stages[s][1] for s in stages))
             for s in scaled:

@@ -46,16 +46,17 @@ def read_measured(folder: Path) -> MeasuredScene:
     return MeasuredScene(folder.name, portrait, truth, albedo)
 
 
-def accuracy(journey, scene: MeasuredScene) -> dict[str, float]:
-    """Measures by name (`plan.figures.MEASURES`)."""
+def shape_accuracy(surface, canonical_from_world: np.ndarray, scene: MeasuredScene) -> dict[str, float]:
+    """face_mm of the fitted surface (canonical metres), where the scene has a truth."""
+    face = None if scene.truth is None else face_mm(surface.transformed(np.linalg.inv(canonical_from_world)), scene)
+    return {} if face is None else {"face_mm": float(face)}
+
+
+def picture_accuracy(journey, scene: MeasuredScene) -> dict[str, float]:
+    """final_db and diffuse_db."""
     from sira_assets.measure.image_metrics import score_image
 
     mask, out = scene.portrait.mask, {}
-    if scene.truth is not None:
-        face = face_mm(journey.avatar.mesh, scene)
-        if face is not None:
-            out["face_mm"] = face
-    out |= asset_distances(journey)
     out["final_db"] = score_image(journey.view.final, scene.portrait.image_linear, mask).psnr_db
     if scene.albedo is not None:
         score = score_image(journey.view.diffuse, scene.albedo, mask, encoding="linear", scale_invariant=True)
@@ -73,7 +74,7 @@ def face_mm(mesh_world, scene: MeasuredScene, *, samples: int = SAMPLES, seed: i
     return None if found is None else found.mean_mm
 
 
-def asset_distances(journey) -> dict[str, float]:
+def asset_accuracy(journey) -> dict[str, float]:
     """asset_mm, asset_max_mm and bake_rms of the exported mesh and maps against the fitted field."""
     from sira_assets.fields.head_field import query
     from sira_assets.mesh.extract import bounds_sdf
@@ -96,8 +97,8 @@ def asset_distances(journey) -> dict[str, float]:
     true = query(head, moved.points[arrived], material=True).diffuse
     off = 255.0 * (srgb_from_linear(np.clip(baked, 0, 1)) - srgb_from_linear(np.clip(true, 0, 1)))
     return {
-        "asset_mm": 1e3 * max(there.mean(), back.mean()),
-        "asset_max_mm": 1e3 * max(there.max(), back.max()),
+        "asset_mm": 1e3 * float(max(there.mean(), back.mean())),
+        "asset_max_mm": 1e3 * float(max(there.max(), back.max())),
         "bake_rms": float(np.sqrt((off**2).mean())),
     }
 

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from _tradeoff_figures import REFERENCE, Record
-from _tradeoff_keep import StageKeeper, digest, measured
-from _tradeoff_measures import accuracy, face_mm, read_measured
+from _tradeoff_keep import FarEnough, StageKeeper, digest, measured
+from _tradeoff_measures import asset_accuracy, face_mm, picture_accuracy, read_measured, shape_accuracy
 
 import sira_assets
 
@@ -138,11 +138,18 @@ def sweep_runs(
         key = digest((*stands_on, repr(job.settings), job.knob, job.value))
         path = folder / f"{key}.json"
         if path.is_file():
-            yield Record(**json.loads(path.read_text())), True
+            yield read_record(path), True
             continue
         record = made(job, scene, priors[job.prior], keeper)
         write_text(path, json.dumps(asdict(record), indent=1) + "\n")
         yield record, False
+
+
+def read_record(path: Path) -> Record:
+    """A record as it was written."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    stages = {name: tuple(figures) for name, figures in data.pop("stages").items()}
+    return Record(**data | {"stages": stages, "as_reference": tuple(data["as_reference"])})
 
 
 def made(job: Job, scene, prior, keeper: StageKeeper) -> Record:
@@ -152,18 +159,43 @@ def made(job: Job, scene, prior, keeper: StageKeeper) -> Record:
     from sira_assets.plan.machine import benchmark
 
     speed = benchmark(prior, repeats=3, clock=time.process_time)
-    keeper.runs.clear()
-    journey = run(scene.portrait, job.settings, prior=prior, runner=keeper)
+    last, left_out = reach(job)
+    keeper.begin(last=last, left_out=left_out)
+    journey = None
+    try:
+        journey = run(scene.portrait, job.settings, prior=prior, runner=keeper)
+    except FarEnough:
+        left_out = SHAPE_ALONE
     stages = {r.name: (r.cpu_s, r.wall_s, r.memory_bytes) for r in keeper.runs}
-    with tempfile.TemporaryDirectory(prefix="sira-tradeoff-") as there:
-        _, written = measured("write", deliver, journey, job.settings, Path(there) / "avatar")
-    stages["write"] = (written.cpu_s, written.wall_s, written.memory_bytes)
+    pose = keeper.made["fit geometry"].canonical_from_world
+    measures = shape_accuracy(keeper.made["clean"], pose, scene)
+    if journey is not None:
+        measures |= picture_accuracy(journey, scene)
+    if not left_out:
+        with tempfile.TemporaryDirectory(prefix="sira-tradeoff-") as there:
+            _, written = measured("write", deliver, journey, job.settings, Path(there) / "avatar")
+        stages["write"] = (written.cpu_s, written.wall_s, written.memory_bytes)
+        measures |= asset_accuracy(journey)
     if job.knob == REFERENCE:
         stages = {"start": start_cost(job.scene), **stages}
-    measures = accuracy(journey, scene)
-    if job.knob == REFERENCE and job.seed == 0 and scene.truth is not None:
-        measures |= chamfer_cost(journey, scene)
-    return Record(scene.name, job.seed, job.knob, job.value, stages, asdict(speed), measures)
+        if job.seed == 0 and scene.truth is not None:
+            measures |= chamfer_cost(journey, scene)
+    return Record(scene.name, job.seed, job.knob, job.value, stages, asdict(speed), measures, left_out)
+
+
+# Stages behind the extracted surface, and those behind the appearance fit that its pictures do not need.
+SHAPE_ALONE = ("fit appearance", "shadows", "simplify", "unwrap", "bake", "render", "write")
+PICTURES_ALONE = ("simplify", "unwrap", "bake", "write")
+
+
+def reach(job: Job) -> tuple[str | None, tuple[str, ...]]:
+    """How far a run has to go for what its knob changes: the last stage, and stages on the way that it does without."""
+    from sira_assets.plan.knobs import KNOBS
+
+    touched = next((k.stages for k in KNOBS if k.name == job.knob), ())
+    if touched == ("fit geometry",):
+        return "clean", ()
+    return None, PICTURES_ALONE if "fit appearance" in touched and "extract" not in touched else ()
 
 
 def start_cost(scene: Path) -> tuple[float, float, int]:
