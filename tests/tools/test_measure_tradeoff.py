@@ -1,0 +1,176 @@
+"""tools/measure_tradeoff.py: a tiny sweep makes the page, goes on where it stopped, and keeps what does not change."""
+
+import csv
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+sys.path.insert(0, str(TOOLS))
+from _tradeoff_figures import REFERENCE, Record, compared, curve_of, write_csv  # noqa: E402
+from _tradeoff_keep import FarEnough, StageKeeper, digest, measured  # noqa: E402
+from _tradeoff_measures import bilinear  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Made:
+    values: np.ndarray
+    said: str = ""
+
+
+def test_digests_tell_contents_apart_and_nothing_else():
+    import torch
+
+    a, b = Made(np.arange(3.0), "x"), Made(np.arange(3.0), "x")
+    assert digest(a) == digest(b)
+    others = [Made(np.arange(3.0), "y"), Made(np.arange(3), "x"), Made(np.arange(3.0)[None], "x"), ("x", b), [b], None]
+    others += [torch.nn.Linear(2, 2), torch.nn.Linear(2, 2), {"x": 1}, {"x": 1.0}, 1, True, "1"]
+    assert len({digest(o) for o in [a, *others]}) == 1 + len(others)
+    assert digest({"x": 1, "y": 2}) == digest({"y": 2, "x": 1})
+    with pytest.raises(TypeError, match="function"):
+        digest(digest)
+
+
+def test_a_stage_is_run_once_for_the_same_inputs_and_found_by_a_later_process(tmp_path):
+    calls = []
+
+    def double(made, report=None):
+        calls.append(made)
+        return Made(2 * made.values)
+
+    keeper = StageKeeper(tmp_path)
+    start = Made(np.ones(3))
+    first = keeper("fit geometry", double, start, report=print)
+    again = keeper("fit geometry", double, Made(np.ones(3)), report=len)
+    assert again is first
+    assert len(calls) == 1
+    assert keeper.runs[0] == keeper.runs[1]
+    keeper("fit geometry", double, Made(np.zeros(3)))
+    assert len(calls) == 2
+    later = StageKeeper(tmp_path)
+    assert later("fit geometry", double, start).values.tolist() == [2.0, 2.0, 2.0]
+    assert len(calls) == 2
+    # A file that was cut off is no stage; it is made again.
+    for path in tmp_path.glob("*.pickle"):
+        path.write_bytes(path.read_bytes()[:20])
+    assert StageKeeper(tmp_path)("fit geometry", double, start).values.tolist() == [2.0, 2.0, 2.0]
+    assert len(calls) == 3
+
+
+def test_a_run_ends_where_it_should_and_leaves_out_what_it_may(tmp_path):
+    keeper = StageKeeper(tmp_path)
+    keeper("bake", lambda made: Made(made.values + 1), Made(np.ones(1)))
+    keeper.begin(left_out=("bake", "write"))
+    assert keeper("bake", lambda made: 1 / 0, Made(np.zeros(1))).values.tolist() == [2.0]
+    assert keeper.runs == []
+    assert keeper("write", lambda: "made, for nothing was kept") == "made, for nothing was kept"
+    keeper.begin(last="clean")
+    with pytest.raises(FarEnough):
+        keeper("clean", lambda: 7)
+    assert keeper.made == {"clean": 7}
+
+
+def test_processor_time_of_children_counts():
+    burn = "sum(i * i for i in range(3_000_000))"
+    _, run = measured("x", subprocess.run, [sys.executable, "-S", "-c", burn], check=True)
+    assert run.cpu_s > 0.05  # three million squares take some tenths of a second, and none of them in this process
+    assert run.wall_s >= 0.5 * run.cpu_s  # one process, one thread
+
+
+def record(knob, value, seconds, loss, *, speed=1.0, seed=0, scene="a", bake=2.0, as_reference=()):
+    bench = {"network_s": 0.01 * speed, "rays_s": 0.02 * speed, "arrays_s": 0.03 * speed}
+    stages = {"fit geometry": (seconds, 2 * seconds, 10), "bake": (bake, bake, 20)}
+    stages = {k: v for k, v in stages.items() if k not in as_reference}
+    return Record(scene, seed, knob, value, stages, bench, {"face_mm": loss, "final_db": 20 - loss}, as_reference)
+
+
+def test_costs_are_beside_the_reference_of_that_scene_and_machine():
+    records = [
+        record(REFERENCE, "standard", 10.0, 1.0),
+        record(REFERENCE, "standard", 30.0, 1.2, scene="b"),
+        # The machine was half as fast at that moment.
+        record("geometry steps", 0.5, 10.0, 1.5, speed=2.0, bake=4.0),
+        record("geometry steps", 0.5, 15.0, 1.5, scene="b", as_reference=("bake",)),
+    ]
+    _, half = compared(records)
+    assert half.stage_ratios == pytest.approx({"fit geometry": 0.5, "bake": 1.0})
+    assert half.ratio == pytest.approx(np.mean([7 / 12, 17 / 32]))
+    assert half.deltas["face_mm"] == pytest.approx(0.4)
+    assert half.deltas["final_db"] == pytest.approx(0.4)  # a decibel less is worse
+    assert half.spread["face_mm"] == pytest.approx(np.std([0.5, 0.3], ddof=1))
+
+
+def test_a_curve_has_its_own_stages_only_and_its_values_in_order():
+    from sira_assets.plan.knobs import knob
+
+    base, one, two = compared(
+        [
+            record(REFERENCE, "standard", 10.0, 1.0),
+            record("geometry steps", 2.0, 20.0, 0.9, bake=3.0),
+            record("geometry steps", 0.25, 2.5, 2.0),
+        ]
+    )
+    curve = curve_of([one, two, replace(base, knob="geometry steps", value=1.0)], knob("geometry steps"))
+    assert [p.value for p in curve.points] == [0.25, 1.0, 2.0]
+    assert [p.ratio("fit geometry") for p in curve.points] == pytest.approx([0.25, 1.0, 2.0])
+    assert [p.ratio("bake") for p in curve.points] == [1.0, 1.0, 1.0]  # the knob does not touch it: noise
+
+
+def test_every_run_is_a_line_of_the_table(tmp_path):
+    write_csv([record(REFERENCE, "standard", 10.0, 1.0), record("lobes", 3, 5.0, 2.0)], tmp_path / "runs.csv")
+    rows = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
+    assert [(r["knob"], float(r["cpu_s"]), float(r["face_mm"])) for r in rows] == [
+        ("reference", 12.0, 1.0),
+        ("lobes", 7.0, 2.0),
+    ]
+
+
+def test_a_map_is_read_between_its_texels():
+    rows, columns = np.mgrid[:8, :8]
+    ramp = np.stack([(columns + 0.5) / 8, 1 - (rows + 0.5) / 8], -1)
+    uv = np.random.default_rng(0).uniform(0.1, 0.9, (50, 2))
+    assert bilinear(ramp, uv) == pytest.approx(uv, abs=1e-12)  # a linear map is read exactly
+
+
+def test_wrong_usage():
+    command = [sys.executable, str(TOOLS / "measure_tradeoff.py")]
+    assert subprocess.run([*command, "--count", "0"], capture_output=True).returncode == 2
+    done = subprocess.run([*command, "nowhere", "--knob", "luck"], capture_output=True, text=True)
+    assert done.returncode == 3
+    assert "geometry steps" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path):
+    out = tmp_path / "t"
+    command = [sys.executable, str(TOOLS / "measure_tradeoff.py"), "--quick", "--out", str(out)]
+    first = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert first.returncode == 0, first.stderr[-2000:]
+    for name in ("index.html", "runs.csv", "figures.json"):
+        assert (out / name).stat().st_size > 0
+    page = (out / "index.html").read_text()
+    assert page.count("<img ") >= 4
+    assert "http" not in page.replace("http-equiv", "")
+    before = {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
+    rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
+    assert len(rows) == len(before) == 5
+    from sira_assets.plan.figures import read_figures
+
+    figures = read_figures(out / "figures.json")
+    assert {c.name for c in figures.curves} == {"geometry steps", "visibility rays", "triangles", "texture size"}
+    assert all(s.seconds > 0 for s in figures.reference)
+    reference = json.loads(next(p for p in (out / "runs").iterdir() if '"reference"' in p.read_text()).read_text())
+    assert reference["measures"]["face_mm"] > 0
+    # A stopped sweep goes on: the run that is missing is made, the others are found.
+    gone = next(p for p in (out / "runs").iterdir() if '"texture size"' in p.read_text())
+    gone.unlink()
+    second = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert second.returncode == 0, second.stderr[-2000:]
+    assert second.stdout.count("(kept)") == 4
+    after = {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
+    assert {n: t for n, t in after.items() if n != gone.name} == {n: t for n, t in before.items() if n != gone.name}
