@@ -74,7 +74,7 @@ def jobs(sweep: Sweep, scenes: Sequence[Path], priors: Sequence[str]) -> list[Jo
     """
     from sira_assets.errors import InputError
     from sira_assets.pipeline import settings_for
-    from sira_assets.plan.knobs import KNOBS
+    from sira_assets.plan.knobs import KNOBS, knob
 
     unknown = set(sweep.knobs) - {k.name for k in KNOBS} - {"network"}
     if unknown:
@@ -83,7 +83,9 @@ def jobs(sweep: Sweep, scenes: Sequence[Path], priors: Sequence[str]) -> list[Jo
             received=", ".join(sorted(unknown)),
             remedy="say one of them",
         )
-    base = tiny() if sweep.quick else settings_for(sweep.base)
+    # Of one texture size, whatever the photo would ask for: that is a knob here.
+    fixed = lambda settings: knob("texture size").put(settings, knob("texture size").read(settings))  # noqa: E731
+    base = fixed(tiny() if sweep.quick else settings_for(sweep.base))
     out = []
     for number, scene in enumerate(scenes):
         out += [Job(scene, s, REFERENCE, sweep.base, seeded(base, s), priors[0]) for s in range(sweep.seeds)]
@@ -98,7 +100,7 @@ def jobs(sweep: Sweep, scenes: Sequence[Path], priors: Sequence[str]) -> list[Jo
                 out += [Job(scene, 0, "network", name, seeded(base, 0), name) for name in priors[1:]]
         if sweep.presets and not sweep.quick:
             names = [n for n in ("draft", "standard", "high") if n != sweep.base]
-            out += [Job(scene, 0, "preset", n, settings_for(n), priors[0]) for n in names]
+            out += [Job(scene, 0, "preset", n, fixed(settings_for(n)), priors[0]) for n in names]
     return out
 
 

@@ -84,9 +84,14 @@ def _put_visibility(settings: Settings, rays: Value) -> Settings:
     return replace(settings, appearance=replace(a, shadows=True, rays=chosen))
 
 
+def _texture(settings: Settings) -> int:
+    """Texels a side; where the photo decides, what it comes to for a head that fills 512 pixels."""
+    return round(settings.bake.size * (settings.texels_per_pixel or 1.0))
+
+
 def _put_texture(settings: Settings, size: Value) -> Settings:
     unwrap, bake = replace(settings.unwrap, texture_size=int(size)), replace(settings.bake, size=int(size))
-    return replace(settings, unwrap=unwrap, bake=bake)
+    return replace(settings, unwrap=unwrap, bake=bake, texels_per_pixel=None)
 
 
 KNOBS = (
@@ -193,7 +198,7 @@ KNOBS = (
         "texels a side",
         (256, 512, 1024, 2048),
         ("unwrap", "bake", "write"),
-        lambda s: s.bake.size,
+        _texture,
         _put_texture,
     ),
     Knob(

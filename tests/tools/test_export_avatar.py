@@ -1,6 +1,7 @@
 """tools/export_avatar.py: the contract of its command line, on the bundled portrait and on bad input."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -72,6 +73,41 @@ def test_bad_input_is_one_line_exit_3_and_nothing_written(tmp_path, spoil):
 def test_wrong_usage_is_exit_2():
     assert export("--quality", "perfect").returncode == 2
     assert export("--texture-size", "1").returncode == 2
+
+
+def test_budgets_that_make_no_sense_are_wrong_usage():
+    for words in (
+        ["--budget", "soon"],
+        ["--budget", "0"],
+        ["--budget", "-5s"],
+        ["--budget", "60s", "--quality", "draft"],
+    ):
+        assert export(*words).returncode == 2
+    refused = export("--budget", "60s", "--resume")
+    assert refused.returncode == 2
+    assert "cannot be gone on with" in refused.stderr
+
+
+def test_a_budget_that_cannot_be_kept_is_one_line_with_the_least(tmp_path):
+    result = export("--budget", "1s", "--out", tmp_path / "out")
+    assert result.returncode == 3, result.stderr
+    assert result.stderr.startswith("error: ")
+    assert len(result.stderr.strip().splitlines()) == 1
+    least = float(re.search(r"(\d+) s or more", result.stderr)[1])
+    assert least > 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):
+    out = tmp_path / "out"
+    result = export("--budget", "3h", "--dry-run", "--json", "--out", out)
+    assert result.returncode == 0, result.stderr
+    plan = json.loads(result.stdout)
+    assert plan["asked"] == "10800 s"
+    assert 0 < plan["total_seconds"] <= 10800
+    assert plan["peak_memory"] > 2**27  # torch alone is an eighth of a gigabyte
+    assert {"geometry steps", "texture size", "triangles"} <= set(plan["knobs"])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_somebodys_folder_is_not_written_over(tmp_path):
