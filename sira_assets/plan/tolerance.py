@@ -5,6 +5,8 @@ extraction's, the rest the decimation's, and the run measures both (`mesh`); her
 distances of decimated meshes fall as a power of the number of triangles, so the curve is read on logarithms.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sira_assets.pipeline import Settings
@@ -21,9 +23,8 @@ def triangles_for(tolerance_mm: float, figures: Figures) -> int | None:
     curve, accuracy = figures.curve("triangles"), dict(figures.accuracy)
     if curve is None or "asset_max_mm" not in accuracy:
         return None
-    points = [
-        (float(p.value), accuracy["asset_max_mm"] + dict(p.losses).get("asset_max_mm", 0.0)) for p in curve.points
-    ]
+    reference = accuracy["asset_max_mm"]
+    points = [(float(p.value), reference + dict(p.losses).get("asset_max_mm", 0.0)) for p in curve.points]
     points = sorted((count, far) for count, far in points if far > 0)
     if len(points) < 2:
         return None
@@ -34,8 +35,6 @@ def triangles_for(tolerance_mm: float, figures: Figures) -> int | None:
 
 def plan_tolerance(tolerance_mm: float, settings: Settings, figures: Figures, here: Benchmark) -> Plan:
     """What a run to a tolerance is expected to take; its settings are kept as they are, for the run decides itself."""
-    from dataclasses import replace
-
     count = triangles_for(tolerance_mm, figures)
     expected = settings if count is None else knob("triangles").put(settings, max(count, 100))
     plan = plan_of(f"{tolerance_mm:g} mm", expected, figures, here)

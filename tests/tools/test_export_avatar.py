@@ -76,13 +76,8 @@ def test_wrong_usage_is_exit_2():
 
 
 def test_budgets_that_make_no_sense_are_wrong_usage():
-    for words in (
-        ["--budget", "soon"],
-        ["--budget", "0"],
-        ["--budget", "-5s"],
-        ["--budget", "60s", "--quality", "draft"],
-    ):
-        assert export(*words).returncode == 2
+    for words in ("soon", "0", "-5s", "60s --quality draft", "60s --texture-size 512"):
+        assert export("--budget", *words.split()).returncode == 2
     refused = export("--budget", "60s", "--resume")
     assert refused.returncode == 2
     assert "cannot be gone on with" in refused.stderr
