@@ -25,7 +25,7 @@ def asked_plan(
     ------
     InputError : a budget that this machine cannot keep.
     """
-    figures, here = read_figures(), benchmark(prior, device=device)
+    figures, here = read_figures(args.figures), benchmark(prior, device=device)
     if not args.budget:
         return plan_of(f"{settings.quality} quality", settings, figures, here), None, None
     plan = plan_budget(args.budget, settings, figures, here)

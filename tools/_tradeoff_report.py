@@ -20,9 +20,12 @@ from _tradeoff_figures import (
     said,
     write_page,
 )
+from _tradeoff_promises import Kept, promise_section
 
 
-def write_report(records: Sequence[Record], sweep, command: str, threads: int, out: Path) -> list[str]:
+def write_report(
+    records: Sequence[Record], sweep, command: str, threads: int, out: Path, *, promises: Sequence[Kept] = ()
+) -> list[str]:
     """Write index.html and figures.json; gives what is wrong with the presets, one line each."""
     from sira_assets.plan.figures import write_figures
     from sira_assets.plan.knobs import KNOBS
@@ -39,6 +42,7 @@ def write_report(records: Sequence[Record], sweep, command: str, threads: int, o
     if presets:
         section, lost = preset_section([*presets, replace(base, knob="preset", value=sweep.base)], spread)
         sections.append(section)
+    sections += [promise_section(promises)] if promises else []
     sections.append(reference_section(records, spread))
     for k in KNOBS:
         if len(by_knob[k.name]) > 1:

@@ -9,6 +9,7 @@ OUT/index.html has all curves, OUT/runs.csv every run, OUT/figures.json is what 
 Without SCENE, scenes of the generator are made in OUT/scenes (--count, --size, --scene-seed).
 
     python tools/measure_tradeoff.py --out tradeoff --count 2
+    python tools/measure_tradeoff.py --out tradeoff --promises-only --promise 60s --promise 0.5mm
     python tools/measure_tradeoff.py scenes/a scenes/b --out tradeoff --knob "texture size" --knob triangles
 """
 
@@ -36,13 +37,21 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--knob-scenes", type=int, metavar="N", help="turn knobs on the first N scenes only")
     p.add_argument("--no-presets", dest="presets", action="store_false", help="leave the presets out")
     p.add_argument("--prior", type=Path, action="append", default=[], help="another prior, such as a wider one")
+    p.add_argument(
+        "--promise",
+        action="append",
+        default=[],
+        metavar="TIME|LENGTH",
+        help="also see whether --budget TIME (60s) or --tolerance LENGTH (0.5mm) is kept; may be said again",
+    )
+    p.add_argument("--promises-only", action="store_true", help="nothing but the promises")
     p.add_argument("--quick", action="store_true", help="a few tiny runs, to see that it works")
     p.add_argument("--quiet", action="store_true", help="no line for each run")
     return p
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the tool; returns the exit status: 0, 3 unusable input, 4 a preset is dominated by another."""
+    """Run the tool; returns the exit status: 0, 3 unusable input, 4 a preset is dominated or a promise not kept."""
     p = parser()
     args = p.parse_args(argv)
     args.words = sys.argv[1:] if argv is None else argv
@@ -54,7 +63,8 @@ def main(argv: list[str] | None = None) -> int:
 def body(args: argparse.Namespace) -> int:
     """Make scenes, run, write."""
     import torch
-    from _tradeoff_figures import write_csv
+    from _tradeoff_figures import write_csv, write_page
+    from _tradeoff_promises import promise_runs, promise_section
     from _tradeoff_report import write_report
     from _tradeoff_runs import Sweep, sweep_runs
 
@@ -67,20 +77,29 @@ def body(args: argparse.Namespace) -> int:
     priors = {"shipped": load_prior(), **{path.stem: load_prior(path) for path in args.prior}}
     sweep = Sweep(args.base, args.seeds, tuple(args.knob), args.knob_scenes, args.presets, args.quick)
     began, records = time.monotonic(), []
-    for record, kept in sweep_runs(sweep, scenes, priors, args.out):
+    for record, found in () if args.promises_only else sweep_runs(sweep, scenes, priors, args.out):
         records.append(record)
         if not args.quiet:
             done = f"{record.scene} seed {record.seed}: {record.knob} {record.value}"
             figures = "  ".join(f"{n} {v:.3g}" for n, v in record.measures.items())
-            print(f"{done:48} {record.seconds():7.1f} CPU s  {figures}{'  (kept)' if kept else ''}", flush=True)
+            print(f"{done:48} {record.seconds():7.1f} CPU s  {figures}{'  (found)' if found else ''}", flush=True)
         write_csv(records, args.out / "runs.csv")
+    kept = []
+    for one, found in promise_runs(args.promise, scenes, args.out):
+        kept.append(one)
+        if not args.quiet:
+            came = "refused" if one.kept is None else f"{one.kept:.3g}"
+            print(f"{one.scene}: {one.promise} asked, {came}{'  (found)' if found else ''}", flush=True)
+    if args.promises_only:
+        write_page("Budgets and tolerances", "", [promise_section(kept)], args.out / "promises.html")
+        return 0 if all(k.holds for k in kept) else 4
     command = " ".join(["python tools/measure_tradeoff.py", *args.words])
-    lost = write_report(records, sweep, command, torch.get_num_threads(), args.out)
+    lost = write_report(records, sweep, command, torch.get_num_threads(), args.out, promises=kept)
     if not args.quiet:
         print(f"{args.out / 'index.html'}  ({len(records)} runs, {time.monotonic() - began:.0f} s)")
     for line in lost:
         print(f"dominated: {line}", file=sys.stderr)
-    return 4 if lost else 0
+    return 4 if lost or not all(k.holds for k in kept) else 0
 
 
 def made_scenes(args: argparse.Namespace) -> list[Path]:

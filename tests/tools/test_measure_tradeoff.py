@@ -171,6 +171,6 @@ def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path):
     gone.unlink()
     second = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert second.returncode == 0, second.stderr[-2000:]
-    assert second.stdout.count("(kept)") == 4
+    assert second.stdout.count("(found)") == 4
     after = {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
     assert {n: t for n, t in after.items() if n != gone.name} == {n: t for n, t in before.items() if n != gone.name}

@@ -1,0 +1,121 @@
+"""Whether budgets and tolerances are kept: `export_avatar.py` as a user runs it, timed from outside and measured.
+
+Notation: a promise is "60s" or "0.5mm"; kept is what it came to, in the same unit; one that the tool refuses in words
+is no promise, and counts as refused.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import sira_assets
+from _tradeoff_figures import Section
+from _tradeoff_keep import digest
+from _tradeoff_measures import face_mm, read_measured
+
+# A budget is kept within this share of it.
+WITHIN = 0.2
+
+
+@dataclass(frozen=True)
+class Kept:
+    """One promise on one scene.
+
+    Parameters
+    ----------
+    asked : seconds or mm
+    kept : wall-clock seconds of the whole command, or the greatest distance of the mesh from the field in mm; None
+        where it was refused
+    planned_s : seconds the tool planned, where it planned any
+    measures : name -> value
+    """
+
+    scene: str
+    promise: str
+    asked: float
+    kept: float | None
+    planned_s: float | None
+    measures: dict[str, float]
+
+    @property
+    def holds(self) -> bool:
+        """Whether it was kept: a budget within a fifth of it, a tolerance altogether. A refusal breaks nothing."""
+        if self.kept is None:
+            return True
+        return self.kept <= self.asked * (1.0 + WITHIN if self.promise.endswith("s") else 1.0)
+
+
+def promise_runs(promises: Sequence[str], scenes: Sequence[Path], out: Path) -> Iterator[tuple[Kept, bool]]:
+    """Every promise on every scene, and whether it was found instead of made."""
+    from sira_assets.atomic import write_text
+
+    folder = out / "promises"
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in scenes:
+        scene = read_measured(path)
+        for promise in promises:
+            file = folder / f"{digest((sira_assets.__version__, scene.portrait, promise))}.json"
+            if file.is_file():
+                yield Kept(**json.loads(file.read_text(encoding="utf-8"))), True
+                continue
+            kept = promised(promise, path, scene)
+            write_text(file, json.dumps(asdict(kept), indent=1) + "\n")
+            yield kept, False
+
+
+def promised(promise: str, path: Path, scene) -> Kept:
+    """Run the command and measure what it wrote."""
+    from sira_assets.measure.truth import read_mesh
+
+    tool = Path(__file__).with_name("export_avatar.py")
+    asked = float(re.match(r"[\d.]+", promise)[0])
+    option = "--tolerance" if promise.endswith("mm") else "--budget"
+    with tempfile.TemporaryDirectory(prefix="sira-promise-") as there:
+        target = Path(there) / "avatar"
+        command = [sys.executable, str(tool), str(path), option, promise, "--out", str(target), "--json"]
+        package = str(Path(sira_assets.__file__).resolve().parents[1])
+        parts = os.pathsep.join(p for p in (package, os.environ.get("PYTHONPATH")) if p)
+        began = time.monotonic()
+        done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": parts})
+        seconds = time.monotonic() - began
+        if done.returncode == 3:
+            return Kept(scene.name, promise, asked, None, None, {})
+        if done.returncode:
+            raise RuntimeError(f"{' '.join(command)}\n{done.stderr[-2000:]}")
+        report = json.loads((target / "report.json").read_text(encoding="utf-8"))
+        measures = {n: v for n, v in report["metrics"].items() if isinstance(v, int | float)}
+        if scene.truth is not None:
+            mesh = read_mesh(target, metres_per_unit=scene.portrait.metres_per_unit)
+            to_units = np.diag([1.0 / scene.portrait.metres_per_unit] * 3 + [1.0])
+            face = face_mm(mesh.transformed(to_units), scene)
+            measures |= {} if face is None else {"face_mm": face}
+        said = [d["evidence"] for d in report["decisions"] if d["what"] == "plan"]
+        planned = float(re.search(r"planned ([\d.]+) s", said[0])[1]) if said else None
+        kept = seconds if option == "--budget" else measures["mesh_gap_max_mm"]
+    return Kept(scene.name, promise, asked, kept, planned, measures)
+
+
+def promise_section(kept: Sequence[Kept]) -> Section:
+    """The table of all promises."""
+    names = [n for n in ("face_mm", "final_psnr_db", "asset_vs_final_psnr_db") if any(n in k.measures for k in kept)]
+    rows = tuple(
+        (
+            k.scene,
+            k.promise,
+            "refused" if k.kept is None else f"{k.kept:.3g}",
+            "" if k.planned_s is None else f"{k.planned_s:.0f}",
+            *(f"{k.measures[n]:.3g}" if n in k.measures else "" for n in names),
+            "" if k.kept is None else "kept" if k.holds else "not kept",
+        )
+        for k in kept
+    )
+    say = f"Whole commands, timed from outside. A budget is kept within {100 * WITHIN:.0f} %, a tolerance altogether."
+    return Section("promises", say, None, ("scene", "asked", "came to", "planned, s", *names, ""), rows)
