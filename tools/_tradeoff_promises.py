@@ -16,10 +16,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import sira_assets
 from _tradeoff_figures import Section
 from _tradeoff_keep import digest
 from _tradeoff_measures import face_mm, read_measured
+
+import sira_assets
 
 # A budget is kept within this share of it.
 WITHIN = 0.2

@@ -14,6 +14,7 @@ Without SCENE, scenes of the generator are made in OUT/scenes (--count, --size, 
 """
 
 import argparse
+import re
 import sys
 import time
 from pathlib import Path
@@ -41,6 +42,7 @@ def parser() -> argparse.ArgumentParser:
         "--promise",
         action="append",
         default=[],
+        type=promise,
         metavar="TIME|LENGTH",
         help="also see whether --budget TIME (60s) or --tolerance LENGTH (0.5mm) is kept; may be said again",
     )
@@ -48,6 +50,13 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--quick", action="store_true", help="a few tiny runs, to see that it works")
     p.add_argument("--quiet", action="store_true", help="no line for each run")
     return p
+
+
+def promise(text: str) -> str:
+    """`60s` or `0.5mm`, as it is."""
+    if not re.fullmatch(r"(\d+(\.\d*)?|\.\d+)(s|mm)", text):
+        raise argparse.ArgumentTypeError(f"a time such as 60s or a length such as 0.5mm, not {text!r}")
+    return text
 
 
 def main(argv: list[str] | None = None) -> int:
