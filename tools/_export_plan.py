@@ -10,6 +10,7 @@ from sira_assets.plan.machine import benchmark
 from sira_assets.plan.planner import Plan, plan_budget, plan_of
 from sira_assets.plan.present import plan_json, plan_table
 from sira_assets.plan.timetable import Keeping, timetable
+from sira_assets.plan.tolerance import plan_tolerance
 
 
 def asked_plan(
@@ -26,6 +27,8 @@ def asked_plan(
     InputError : a budget that this machine cannot keep.
     """
     figures, here = read_figures(args.figures), benchmark(prior, device=device)
+    if args.tolerance_mm is not None:
+        return plan_tolerance(args.tolerance_mm, settings, figures, here), None, None
     if not args.budget:
         return plan_of(f"{settings.quality} quality", settings, figures, here), None, None
     plan = plan_budget(args.budget, settings, figures, here)

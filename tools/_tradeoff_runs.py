@@ -170,7 +170,8 @@ def made(job: Job, scene, prior, keeper: StageKeeper) -> Record:
         left_out = SHAPE_ALONE
     stages = {r.name: (r.cpu_s, r.wall_s, r.memory_bytes) for r in keeper.runs}
     pose = keeper.made["fit geometry"].canonical_from_world
-    measures = shape_accuracy(keeper.made["clean"], pose, scene)
+    surface, _ = keeper.made["clean"]
+    measures = shape_accuracy(surface, pose, scene)
     if journey is not None:
         measures |= picture_accuracy(journey, scene)
     if not left_out:
@@ -186,8 +187,8 @@ def made(job: Job, scene, prior, keeper: StageKeeper) -> Record:
 
 
 # Stages behind the extracted surface, and those behind the appearance fit that its pictures do not need.
-SHAPE_ALONE = ("fit appearance", "shadows", "simplify", "unwrap", "bake", "render", "write")
-PICTURES_ALONE = ("simplify", "unwrap", "bake", "write")
+SHAPE_ALONE = ("fit appearance", "shadows", "simplify", "measure", "unwrap", "bake", "render", "write")
+PICTURES_ALONE = ("simplify", "measure", "unwrap", "bake", "write")
 
 
 def reach(job: Job) -> tuple[str | None, tuple[str, ...]]:

@@ -63,10 +63,10 @@ def parser() -> argparse.ArgumentParser:
     fineness.add_argument("--max-triangles", type=int, help="at least 100")
     fineness.add_argument(
         "--tolerance",
-        type=float,
+        type=millimetres,
         dest="tolerance_mm",
         metavar="MM",
-        help="as many triangles as keep the mesh this near the fitted surface, 0.05 to 5 (eyes 63 mm apart)",
+        help="as many triangles as keep the mesh this near the fitted surface (0.5mm), 0.05 to 5 (eyes 63 mm apart)",
     )
     p.add_argument("--levels-of-detail", type=int, default=0, metavar="N", help="N coarser avatars too, 0 to 4")
     p.add_argument("--open-bust", action="store_true", help="no caps where the head's box cuts the shoulders")
@@ -81,6 +81,14 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--json", action="store_true", help="print report.json")
     p.add_argument("--quiet", action="store_true", help="no progress bar")
     return p
+
+
+def millimetres(text: str) -> float:
+    """Of 0.5, 0.5mm or 0.0005m."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(mm|m)?", text.strip())
+    if not found:
+        raise argparse.ArgumentTypeError(f"a length such as 0.5mm, not {text!r}")
+    return float(found[1]) * (1000.0 if found[2] == "m" else 1.0)
 
 
 def duration(text: str) -> float:
@@ -200,9 +208,9 @@ def main(argv: list[str] | None = None) -> int:
         p.error("--levels-of-detail must be 0 to 4")
     if args.budget and args.resume:
         p.error("--resume: steps within a --budget depend on the clock, so such a run cannot be gone on with")
-    for given in ("texture_size", "max_triangles"):
+    for given in ("texture_size", "max_triangles", "tolerance_mm"):
         if args.budget and getattr(args, given) is not None:
-            p.error(f"--{given.replace('_', '-')}: a --budget chooses it")
+            p.error(f"--{given.removesuffix('_mm').replace('_', '-')}: a --budget chooses it")
     return _cli.run(lambda: body(args))
 
 

@@ -14,6 +14,7 @@ STAGES = {
     "fit appearance",
     "shadows",
     "simplify",
+    "measure",
     "unwrap",
     "bake",
     "render",
