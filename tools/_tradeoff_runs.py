@@ -20,7 +20,7 @@ from _tradeoff_measures import asset_accuracy, face_mm, picture_accuracy, read_m
 import sira_assets
 
 # Quick runs see that all works: two values of a few knobs.
-QUICK_KNOBS = {"geometry steps": 0.5, "visibility rays": 0, "triangles": 1000, "texture size": 128}
+QUICK_KNOBS = {"geometry steps": 0.01, "visibility rays": 0, "triangles": 1000, "texture size": 128}
 # What every run does before its first stage.
 START_WORK = """
 import sys

@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sira_assets.plan.figures import write_figures
 from sira_assets.scene.image import write_exr, write_png
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "scene"))
+sys.path.insert(0, str(ROOT / "tests" / "plan"))
+from sample_figures import figures  # noqa: E402
 from scene_on_disk import HEIGHT, WIDTH, SceneOnDisk  # noqa: E402
 
 
@@ -83,8 +86,16 @@ def test_budgets_that_make_no_sense_are_wrong_usage():
     assert "cannot be gone on with" in refused.stderr
 
 
-def test_a_budget_that_cannot_be_kept_is_one_line_with_the_least(tmp_path):
-    result = export("--budget", "1s", "--out", tmp_path / "out")
+@pytest.fixture(scope="module")
+def curves(tmp_path_factory):
+    """A file of curves to plan with."""
+    path = tmp_path_factory.mktemp("curves") / "figures.json"
+    write_figures(figures(), path)
+    return path
+
+
+def test_a_budget_that_cannot_be_kept_is_one_line_with_the_least(tmp_path, curves):
+    result = export("--budget", "1s", "--figures", curves, "--out", tmp_path / "out")
     assert result.returncode == 3, result.stderr
     assert result.stderr.startswith("error: ")
     assert len(result.stderr.strip().splitlines()) == 1
@@ -93,15 +104,15 @@ def test_a_budget_that_cannot_be_kept_is_one_line_with_the_least(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path, curves):
     out = tmp_path / "out"
-    result = export("--budget", "3h", "--dry-run", "--json", "--out", out)
+    result = export("--budget", "3h", "--figures", curves, "--dry-run", "--json", "--out", out)
     assert result.returncode == 0, result.stderr
     plan = json.loads(result.stdout)
     assert plan["asked"] == "10800 s"
     assert 0 < plan["total_seconds"] <= 10800
-    assert plan["peak_memory"] > 2**27  # torch alone is an eighth of a gigabyte
-    assert {"geometry steps", "texture size", "triangles"} <= set(plan["knobs"])
+    assert plan["peak_memory"] >= max(s.memory_bytes for s in figures().reference)
+    assert set(plan["knobs"]) == {"geometry steps", "appearance steps", "texture size"}
     assert list(tmp_path.iterdir()) == []
 
 
