@@ -14,6 +14,10 @@ from sira_assets.plan.figures import Benchmark, Figures
 from sira_assets.plan.knobs import knob
 from sira_assets.plan.planner import Plan, plan_of
 
+# A curve flatter than this is no law: 1000 times the triangles would not take a third off the distance.
+FLATTEST = -0.05
+MOST_TRIANGLES = 2_000_000
+
 
 def triangles_for(tolerance_mm: float, figures: Figures) -> int | None:
     """Triangles at which the greatest distance is expected to be within a tolerance, by the measured curve.
@@ -30,7 +34,9 @@ def triangles_for(tolerance_mm: float, figures: Figures) -> int | None:
         return None
     count, far = (np.log([p[i] for p in points]) for i in (0, 1))
     slope, offset = np.polyfit(count, far, 1)
-    return round(float(np.exp((np.log(tolerance_mm) - offset) / slope))) if slope < 0 else None
+    if slope > FLATTEST:
+        return None
+    return round(float(np.exp(min((np.log(tolerance_mm) - offset) / slope, np.log(MOST_TRIANGLES)))))
 
 
 def plan_tolerance(tolerance_mm: float, settings: Settings, figures: Figures, here: Benchmark) -> Plan:

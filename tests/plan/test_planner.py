@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -125,6 +126,9 @@ def test_what_is_written_is_read_again(tmp_path):
 
 
 def test_the_shipped_figures_plan_on_the_machine_they_were_measured_on():
+    shipped = files("sira_assets.plan") / "figures.json"
+    if not shipped.is_file():
+        pytest.skip("no curves ship with this version")
     f = read_figures()
     plans = [plan_budget(t, settings_for("standard"), f, f.benchmark) for t in (120.0, 600.0)]
     assert plans[0].seconds <= 120.0
