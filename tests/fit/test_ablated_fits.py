@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from ball_prior import APPEARANCE, SHAPE
 from small_portrait import portrait
-from test_fit import APPEARANCE, APPEARANCE_FIT, GEOMETRY, SHAPE
+from test_fit import APPEARANCE_FIT, GEOMETRY
 
 from sira_assets.fields.af_sm import AppearanceFactorModel
 from sira_assets.fields.prior import CodeStatistics, Prior, freeze, untrained_appearance
