@@ -59,10 +59,14 @@ def geometry_doubts(portrait: Portrait, geometry: GeometryFit, prior: Prior, hit
         said.append(
             f"the shape is {distance:.1f} times as far from the mean as people are: check camera, focal length and mask"
         )
+    from scipy import ndimage
+
+    # Holes are a fault of the mask, and said as that.
+    mask = ndimage.binary_fill_holes(portrait.mask)
     # Below the mask's lowest row the fitted bust goes on; a photo says nothing of it.
-    rows = np.nonzero(portrait.mask.any(1))[0]
+    rows = np.nonzero(mask.any(1))[0]
     seen = slice(rows[0], rows[0] + max(1, int(0.7 * len(rows))))
-    overlap = float((portrait.mask & hit)[seen].sum() / max((portrait.mask | hit)[seen].sum(), 1))
+    overlap = float((mask & hit)[seen].sum() / max((mask | hit)[seen].sum(), 1))
     if overlap < LEAST_OVERLAP:
         said.append(f"head and mask overlap by {overlap:.0%} only: check camera, landmarks, canonical_from_world, mask")
     if geometry.pose_change_deg > MOST_POSE_DEG:

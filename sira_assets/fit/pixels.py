@@ -21,6 +21,8 @@ from sira_assets.scene.portrait import Portrait
 CUT_Y_M = -0.115
 # Pixels this far (canonical metres, at the head's depth) outside the mask still belong to the silhouette band.
 BAND_M = 0.02
+# A pixel with no channel above this (linear: an 8-bit step) was not exposed: it says nothing of the surface's shape.
+UNEXPOSED = 1.0 / 255.0 / 12.92
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class PixelRays:
     directions: Float[Tensor, "N 3"]
     rgb: Float[Tensor, "N 3"]
     in_mask: Bool[Tensor, " N"]
-    usable: Bool[Tensor, " N"]  # colour not clipped
+    usable: Bool[Tensor, " N"]  # colour neither clipped nor unexposed
     row: Tensor
     column: Tensor
 
@@ -50,13 +52,14 @@ def pixel_rays(portrait: Portrait, rows: np.ndarray, columns: np.ndarray, *, dev
     directions = directions @ to_canonical[:3, :3].T
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     origins = transform_points(to_canonical, origins) / UNIT_M
+    exposed = (portrait.image_linear[rows, columns] > UNEXPOSED).any(-1)
     as_tensor = lambda a, kind=torch.float32: torch.as_tensor(np.ascontiguousarray(a), dtype=kind, device=device)  # noqa: E731
     return PixelRays(
         as_tensor(origins),
         as_tensor(directions),
         as_tensor(srgb_from_linear(portrait.image_linear[rows, columns])),
         as_tensor(portrait.mask[rows, columns], torch.bool),
-        as_tensor(~portrait.saturated[rows, columns], torch.bool),
+        as_tensor(~portrait.saturated[rows, columns] & exposed, torch.bool),
         as_tensor(rows, torch.int64),
         as_tensor(columns, torch.int64),
     )

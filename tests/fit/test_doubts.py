@@ -1,6 +1,7 @@
 """Every doubt is raised by the fault that it names and by no sound portrait."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from small_portrait import portrait
 
 from sira_assets.fields.prior import CodeStatistics
 from sira_assets.fit import doubts
-from sira_assets.fit.doubts import portrait_doubts, sigma_distance
+from sira_assets.fit.doubts import geometry_doubts, portrait_doubts, sigma_distance
 from sira_assets.fit.pixels import silhouette_band
 
 
@@ -65,3 +66,16 @@ def test_pixels_of_a_hole_are_no_silhouette():
     band = set(zip(*silhouette_band(replace(p, mask=p.mask & ~hole)), strict=True))
     assert not any(hole[pixel] for pixel in band)
     assert band == {pixel for pixel in zip(*silhouette_band(p), strict=True) if not hole[pixel]}
+
+
+def test_holes_in_the_mask_are_no_want_of_overlap():
+    p = sound()
+    statistics = CodeStatistics.of(torch.randn(40, 6))
+    geometry = SimpleNamespace(warnings=(), z_sdf=statistics.mean, pose_change_deg=0.0)
+    rows, columns = np.mgrid[:96, :96]
+    hole = (rows - 40) ** 2 + (columns - 48) ** 2 < 120
+    assert (p.mask & hole).sum() > 0.15 * p.mask.sum()
+    said = geometry_doubts(replace(p, mask=p.mask & ~hole), geometry, SimpleNamespace(z_sdf=statistics), p.mask)
+    assert said == ()
+    half = p.mask & (columns < 48)
+    assert "overlap" in geometry_doubts(p, geometry, SimpleNamespace(z_sdf=statistics), half)[0]

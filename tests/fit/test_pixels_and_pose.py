@@ -1,5 +1,7 @@
 """Rays of a portrait in the canonical frame, the silhouette band, and the pose correction."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from small_portrait import portrait
@@ -64,3 +66,14 @@ def test_rotation_has_a_gradient_at_zero():
     w = torch.zeros(3, requires_grad=True)
     rotation_matrix(w)[0, 1].backward()
     torch.testing.assert_close(w.grad, torch.tensor([0.0, 0.0, -1.0]))
+
+
+def test_what_was_not_exposed_says_nothing_and_what_is_merely_dark_does():
+    p = portrait()
+    rows, columns = np.nonzero(p.mask)
+    image = np.full_like(p.image_linear, 0.5)
+    image[rows[0], columns[0]] = 0.0
+    image[rows[1], columns[1]] = (0.0, 0.001, 0.0)  # three 8-bit steps in one channel
+    usable = mask_rays(replace(p, image_linear=image)).usable
+    assert not usable[0]
+    assert usable[1:].all()
