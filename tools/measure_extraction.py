@@ -44,19 +44,33 @@ def main(argv: list[str] | None = None) -> int:
 
 def body(arguments: argparse.Namespace) -> int:
     """Measure every field and print."""
-    figures = {}
+    figures: dict[str, dict[str, list[dict]]] = {}
     for name in arguments.fields:
         field = make_field(name, arguments.prior)
-        found = {"convergence": convergence(field, arguments.cells)}
-        if arguments.resolution:
-            found["sparse"] = sparse(field, arguments.resolution)
-        found["tolerance"] = [tolerance(field, t, simplify=arguments.simplify) for t in arguments.tolerances]
-        figures[name] = found
-        if not arguments.json:
-            show(name, found)
+        figures[name] = {"convergence": [], "sparse": [], "tolerance": []}
+        for part, row in measure(field, arguments):
+            figures[name][part].append(row)
+            if not arguments.json:
+                print(f"{name:<10}", *(f"{key} {_short(value)}" for key, value in row.items()), sep="  ", flush=True)
     if arguments.json:
         print(json.dumps(figures, indent=1))
     return 0
+
+
+def measure(field, arguments: argparse.Namespace):
+    """All rows of one field as they are found, each with the part it belongs to."""
+    last = None
+    for cell in arguments.cells:
+        last = convergence(field, cell, last)
+        yield "convergence", last
+    if arguments.resolution:
+        yield "sparse", sparse(field, arguments.resolution)
+    for asked in arguments.tolerances:
+        yield "tolerance", tolerance(field, asked, simplify=arguments.simplify)
+
+
+def _short(value) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def make_field(name: str, prior: Path | None):
@@ -89,22 +103,19 @@ def make_field(name: str, prior: Path | None):
     return FittedHead(models.shape, models.appearance, z_sdf, models.z_a.mean, models.z_s.mean)
 
 
-def convergence(field, cells_mm: list[float]) -> list[dict]:
-    """Two-sided distances at each cell, and the order between neighbours."""
+def convergence(field, cell_mm: float, last: dict | None) -> dict:
+    """Two-sided distances at a cell, and the order since the last one."""
     import numpy as np
 
     from sira_assets.mesh.extract import ExtractConfig, extract_mesh
     from sira_assets.mesh.field_distance import field_distance
 
-    rows: list[dict] = []
-    for cell in cells_mm:
-        gap = field_distance(field, extract_mesh(field, ExtractConfig(cell_m=1e-3 * cell)), samples=20_000)
-        row = {"cell_mm": cell, "mean_mm": 1e3 * max(gap.mean_there, gap.mean_back), "max_mm": 1e3 * gap.greatest}
-        if rows:
-            last = rows[-1]
-            row["order"] = float(np.log(last["mean_mm"] / row["mean_mm"]) / np.log(last["cell_mm"] / cell))
-        rows.append(row)
-    return rows
+    gap = field_distance(field, extract_mesh(field, ExtractConfig(cell_m=1e-3 * cell_mm)), samples=20_000)
+    mean = 1e3 * max(gap.mean_there, gap.mean_back)
+    row = {"cell_mm": cell_mm, "mean_mm": mean, "max_mm": 1e3 * gap.greatest}
+    if last:
+        row["order"] = float(np.log(last["mean_mm"] / mean) / np.log(last["cell_mm"] / cell_mm))
+    return row
 
 
 def sparse(field, resolution: int) -> dict:
@@ -163,23 +174,6 @@ def tolerance(field, tolerance_mm: float, *, simplify: bool) -> dict:
         "split_vertices": report.split_vertices,
         "watertight": topology(mesh).watertight,
     }
-
-
-def show(name: str, found: dict) -> None:
-    """One field's tables."""
-    print(name)
-    for row in found["convergence"]:
-        order = f"  order {row['order']:.2f}" if "order" in row else ""
-        print(f"  cell {row['cell_mm']:5.2f} mm: mean {row['mean_mm']:.5f} mm, max {row['max_mm']:.4f} mm{order}")
-    if "sparse" in found:
-        for key, value in found["sparse"].items():
-            print(f"  {key:<20}{value:>14.4g}" if isinstance(value, float) else f"  {key:<20}{value!s:>14}")
-    for row in found["tolerance"]:
-        print(
-            f"  asked {row['asked_mm']:g} mm: max {row['max_mm']:.4f} mm, mean {row['mean_mm']:.5f} mm, "
-            f"{row['triangles']} triangles, {row['evaluations']} evaluations"
-        )
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -176,9 +176,9 @@ def surface_cells(
     corners = values.at(lattice.key(grid))
     slope = max(np.abs(np.diff(corners, axis=axis)).max(initial=0.0) for axis in range(3)) / (size * lattice.step)
     bound = max(lipschitz, 1.5 * slope)
-    cells = grid[:-1, :-1, :-1].reshape(-1, 3)
+    cells = lattice.key(grid[:-1, :-1, :-1].reshape(-1, 3))  # keys of low corners, here and below
     while size > 1:
-        at = values.at(lattice.key(cells[:, None, :] + CORNERS * size))
+        at = values.at(cells[:, None] + lattice.key(CORNERS * size))
         crossing = _changes_sign(at)
         near = crossing | (np.abs(at).min(1) <= bound * size * lattice.step * np.sqrt(0.75))
         if near.sum() * (8 if size > 2 else 4) > max_cells:
@@ -187,16 +187,17 @@ def surface_cells(
                 received=f"{int(near.sum())} cells of {size} times that may hold surface (|grad f| up to {slope:.3g})",
                 remedy="the field is far from a distance: fit again, or use a larger cell or tolerance",
             )
+        eighths = lattice.key(CORNERS * (size // 2))
         if size == 2:
-            alone = near & ~crossing
-            alone[alone] = ~_beside(lattice, cells[alone], cells[crossing], size)
-            cells = np.concatenate([_likely_eighths(cells[crossing], at[crossing]), _eighths(cells[alone], size)])
+            alone = cells[near & ~crossing]
+            alone = alone[~_beside(lattice, alone, cells[crossing], size)]
+            likely = _likely_eighths(at[crossing])
+            cells = np.concatenate([(cells[crossing][:, None] + eighths)[likely], (alone[:, None] + eighths).ravel()])
         else:
-            cells = _eighths(cells[near], size)
+            cells = (cells[near][:, None] + eighths).ravel()
         size //= 2
     keys = _grow(lattice, values, cells)
-    corner_keys = lattice.key(lattice.index(keys)[:, None, :] + CORNERS)
-    unique, inverse = np.unique(corner_keys, return_inverse=True)
+    unique, inverse = np.unique(keys[:, None] + lattice.key(CORNERS), return_inverse=True)
     points = lattice.position(lattice.index(unique))
     return SurfaceCells(inverse.reshape(-1, 8), points, values.at(unique), float(slope))
 
@@ -206,48 +207,41 @@ def _changes_sign(corner_values: np.ndarray) -> np.ndarray:
     return negative.any(1) & ~negative.all(1)
 
 
-def _eighths(cells: np.ndarray, size: int) -> np.ndarray:
-    return (cells[:, None, :] + CORNERS * (size // 2)).reshape(-1, 3)
-
-
-def _likely_eighths(cells: np.ndarray, corner_values: np.ndarray) -> np.ndarray:
-    """Eighths of cells of size 2 in which the trilinear interpolant of the corner values (C, 8) changes sign."""
-    cube = np.empty((len(cells), 3, 3, 3))
+def _likely_eighths(corner_values: np.ndarray) -> np.ndarray:
+    """(C, 8) bool: eighths of cells in which the trilinear interpolant of the corner values (C, 8) changes sign."""
+    cube = np.empty((len(corner_values), 3, 3, 3))
     for corner, (i, j, k) in enumerate(CORNERS * 2):
         cube[:, i, j, k] = corner_values[:, corner]
     cube[:, 1] = 0.5 * (cube[:, 0] + cube[:, 2])
     cube[:, :, 1] = 0.5 * (cube[:, :, 0] + cube[:, :, 2])
     cube[:, :, :, 1] = 0.5 * (cube[:, :, :, 0] + cube[:, :, :, 2])
-    out = []
-    for i, j, k in CORNERS:
-        eighth = cube[:, i : i + 2, j : j + 2, k : k + 2].reshape(-1, 8)
-        out.append(cells[_changes_sign(eighth)] + np.array([i, j, k]))
-    return np.concatenate(out)
+    negative = cube < 0.0
+    eighths = (negative[:, i : i + 2, j : j + 2, k : k + 2].reshape(-1, 8) for i, j, k in CORNERS)
+    return np.stack([e.any(1) & ~e.all(1) for e in eighths], 1)
 
 
 def _beside(lattice: Lattice, cells: np.ndarray, others: np.ndarray, size: int) -> np.ndarray:
-    """(C,) bool: whether one of `others` is within two cells of `size` along every axis."""
-    shape = (lattice.points - 1) // size
-    taken = np.zeros(shape, bool)
-    taken[tuple((others // size).T)] = True
-    from scipy.ndimage import maximum_filter
+    """(C,) bool: whether one of the cells `others` (keys) is within two cells of `size` along every axis."""
+    from scipy.ndimage import binary_dilation
 
-    return maximum_filter(taken, 5)[tuple((cells // size).T)]
+    taken = np.zeros((lattice.points - 1) // size, bool)
+    taken[tuple((lattice.index(others) // size).T)] = True
+    taken = binary_dilation(taken, np.ones((3, 3, 3), bool), iterations=2)
+    return taken[tuple((lattice.index(cells) // size).T)]
 
 
 def _grow(lattice: Lattice, values: LatticeValues, cells: np.ndarray) -> np.ndarray:
     """Sorted keys of all finest cells with a change of sign that are linked to `cells` through faces with one."""
-    seen = fresh = np.unique(lattice.key(cells))
+    seen = fresh = np.unique(cells)
     crossing = []
     while len(fresh):
-        index = lattice.index(fresh)
-        negative = values.at(lattice.key(index[:, None, :] + CORNERS)) < 0.0
+        negative = values.at(fresh[:, None] + lattice.key(CORNERS)) < 0.0
         cut = negative.any(1) & ~negative.all(1)
         crossing.append(fresh[cut])
         wanted = []
         for side, step in SIDES:
             through = negative[:, side].any(1) & ~negative[:, side].all(1)
-            wanted.append(lattice.key(index[through] + np.array(step)))
+            wanted.append(fresh[through] + lattice.key(np.array(step)))
         fresh = np.setdiff1d(np.concatenate(wanted), seen)
         seen = np.union1d(seen, fresh)
     return np.sort(np.concatenate(crossing)) if crossing else np.empty(0, np.int64)
