@@ -87,8 +87,8 @@ def compared(records: Sequence[Record]) -> list[Setting]:
             stages = [s for s in ref.stages if s != START]
             # A stage that a setting does without costs nothing.
             took = {s: ref.stages[s] if s in r.as_reference else r.stages.get(s, (0.0, 0.0, 0)) for s in stages}
-            same = lambda s, r=r, ref=ref: r is ref or s in r.as_reference  # noqa: E731
-            scaled = {s: took[s][0] / (1.0 if same(s) else speed(s, here, there)) for s in stages}
+            # A stage that was found has the reference's own figures, of the reference's own moment.
+            scaled = {s: took[s][0] / (1.0 if took[s] == ref.stages[s] else speed(s, here, there)) for s in stages}
             total.append(sum(scaled.values()) / sum(ref.seconds(s) for s in stages))
             wall.append(sum(t[1] for t in took.values()) / sum(ref.stages[s][1] for s in stages))
             for s in scaled:
@@ -203,13 +203,14 @@ def write_page(title: str, said: str, sections: Sequence[Section], path: Path) -
 
 
 def pareto_plot(settings: Sequence[Setting], spread: dict[str, float], names: Sequence[str]):
-    """A matplotlib figure: each measure against the cost of all stages, the values named, the front drawn through."""
+    """A matplotlib figure: each measure that moves against the cost of all stages, values named, the front drawn."""
     from matplotlib.figure import Figure
 
     from sira_assets.plan.figures import MEASURES
     from sira_assets.plan.front import dominated
 
-    measures = [m for m in MEASURES if m.name in names]
+    moved = {m.name for m in MEASURES if m.name in names and any(s.deltas[m.name] for s in settings)}
+    measures = [m for m in MEASURES if m.name in (moved or names)]
     columns = min(3, max(1, len(measures)))
     rows = -(-len(measures) // columns)
     figure = Figure(figsize=(3.6 * columns, 2.7 * rows), layout="constrained")

@@ -86,4 +86,5 @@ def knee(costs: Sequence[float], losses: Sequence[float]) -> int | None:
     if x[-1] <= x[0] or flat[0] <= flat[-1]:
         return None
     x, y = (x - x[0]) / (x[-1] - x[0]), (flat - flat[-1]) / (flat[0] - flat[-1])
-    return int(order[int(np.argmax((1.0 - x) - y))])
+    below = (1.0 - x) - y
+    return int(order[int(np.argmax(below))]) if below.max() > 1e-9 else None

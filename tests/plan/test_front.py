@@ -64,3 +64,5 @@ def test_a_knee_is_where_it_was_put():
     assert knee([1, 2, 4], [1.0, 1.0, 1.0]) is None  # nothing is gained
     assert knee([1, 1, 1], [3.0, 2.0, 1.0]) is None  # nothing is paid
     assert knee([1], [1.0]) is None
+    assert knee([1, 2], [2.0, 1.0]) is None  # two points have no bend
+    assert knee([1, 2, 4], [1.0, 0.9, 0.0]) is None  # bent the other way

@@ -94,14 +94,17 @@ def test_costs_are_beside_the_reference_of_that_scene_and_machine():
         record(REFERENCE, "standard", 10.0, 1.0),
         record(REFERENCE, "standard", 30.0, 1.2, scene="b"),
         # The machine was half as fast at that moment.
-        record("geometry steps", 0.5, 10.0, 1.5, speed=2.0, bake=4.0),
-        record("geometry steps", 0.5, 15.0, 1.5, scene="b", as_reference=("bake",)),
+        record("geometry steps", 0.5, 12.0, 1.5, speed=2.0, bake=4.0),
+        record("geometry steps", 0.5, 18.0, 1.5, scene="b", as_reference=("bake",)),
     ]
     _, half = compared(records)
-    assert half.stage_ratios == pytest.approx({"fit geometry": 0.5, "bake": 1.0})
-    assert half.ratio == pytest.approx(np.mean([7 / 12, 17 / 32]))
+    assert half.stage_ratios == pytest.approx({"fit geometry": 0.6, "bake": 1.0})
+    assert half.ratio == pytest.approx(np.mean([8 / 12, 20 / 32]))
     assert half.deltas["face_mm"] == pytest.approx(0.4)
     assert half.deltas["final_db"] == pytest.approx(0.4)  # a decibel less is worse
+    # A stage that was found has the reference's own figures, however fast the machine is now.
+    found = record("geometry steps", 0.25, 3.0, 1.5, speed=3.0)
+    assert compared([records[0], found])[1].stage_ratios == pytest.approx({"fit geometry": 0.1, "bake": 1.0})
     assert half.spread["face_mm"] == pytest.approx(np.std([0.5, 0.3], ddof=1))
 
 
