@@ -19,8 +19,8 @@ from _tradeoff_measures import asset_accuracy, face_mm, picture_accuracy, read_m
 
 import sira_assets
 
-# Quick runs see that all works: two values of a few knobs.
-QUICK_KNOBS = {"geometry steps": 0.01, "visibility rays": 0, "triangles": 1000, "texture size": 128}
+# Quick runs see that all works: one more value of two knobs, one far from the files and one near.
+QUICK_KNOBS = {"geometry steps": 0.01, "texture size": 128}
 # What every run does before its first stage.
 START_WORK = """
 import sys
@@ -142,7 +142,7 @@ def sweep_runs(
         if path.is_file():
             yield read_record(path), True
             continue
-        record = made(job, scene, priors[job.prior], keeper)
+        record = made(job, scene, priors[job.prior], keeper, whole=not sweep.quick)
         write_text(path, json.dumps(asdict(record), indent=1) + "\n")
         yield record, False
 
@@ -154,8 +154,13 @@ def read_record(path: Path) -> Record:
     return Record(**data | {"stages": stages, "as_reference": tuple(data["as_reference"])})
 
 
-def made(job: Job, scene, prior, keeper: StageKeeper) -> Record:
-    """Run, write into a folder that is thrown away, measure."""
+def made(job: Job, scene, prior, keeper: StageKeeper, *, whole: bool = True) -> Record:
+    """Run, write into a folder that is thrown away, measure.
+
+    Parameters
+    ----------
+    whole : also measure, beside the reference, what starting takes and how many points a measurement needs
+    """
     from sira_assets.delivery import deliver
     from sira_assets.pipeline import run
     from sira_assets.plan.machine import benchmark
@@ -179,7 +184,7 @@ def made(job: Job, scene, prior, keeper: StageKeeper) -> Record:
             _, written = measured("write", deliver, journey, job.settings, Path(there) / "avatar")
         stages["write"] = (written.cpu_s, written.wall_s, written.memory_bytes)
         measures |= asset_accuracy(journey)
-    if job.knob == REFERENCE:
+    if job.knob == REFERENCE and whole:
         stages = {"start": start_cost(job.scene), **stages}
         if job.seed == 0 and scene.truth is not None:
             measures |= chamfer_cost(journey, scene)
