@@ -209,7 +209,7 @@ def _changes_sign(corner_values: np.ndarray) -> np.ndarray:
 
 def _likely_eighths(corner_values: np.ndarray) -> np.ndarray:
     """(C, 8) bool: eighths of cells in which the trilinear interpolant of the corner values (C, 8) changes sign."""
-    cube = np.empty((len(corner_values), 3, 3, 3))
+    cube = np.zeros((len(corner_values), 3, 3, 3))
     for corner, (i, j, k) in enumerate(CORNERS * 2):
         cube[:, i, j, k] = corner_values[:, corner]
     cube[:, 1] = 0.5 * (cube[:, 0] + cube[:, 2])
