@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="TIME",
         help="be done within this time (60s, 5min) with as much accuracy as it buys on this machine",
     )
-    p.add_argument("--figures", type=Path, metavar="FILE", help="curves to plan with (default: the shipped ones)")
+    p.add_argument("--figures", type=Path, metavar="FILE", help="curves to plan with, of measure_tradeoff.py")
     p.add_argument("--dry-run", action="store_true", help="print what would be done, its seconds and memory, and stop")
     p.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
     p.add_argument("--seed", type=int, default=0)
