@@ -176,7 +176,7 @@ def read_figures(path: Path | None = None) -> Figures:
         raise InputError(
             expected=f"figures of a sweep at {source}",
             received=f"{type(error).__name__}: {error}",
-            remedy="measure them: python tools/measure_tradeoff.py --out tradeoff; then --figures tradeoff/figures.json",
+            remedy="measure them (python tools/measure_tradeoff.py --out OUT), then say --figures OUT/figures.json",
         ) from None
 
 
