@@ -124,20 +124,31 @@ def planner_figures(records, by_knob, spread, command: str, threads: int):
     return Figures(command, scenes, seeds, threads, bench, stages, accuracy, tuple(spread.items()), tuple(curves))
 
 
+def measures_of_all(rows: Sequence[Setting]) -> list[str]:
+    """Measures that every setting has: a knob of the fit may be measured before the asset is made."""
+    return [n for n in rows[0].deltas if all(n in s.deltas for s in rows)]
+
+
 def settings_table(rows: Sequence[Setting]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Head and rows: value, costs, memory, measures."""
-    names = list(rows[0].deltas)
+    """Head and rows: value, costs, memory, measures; a dash where a setting was not measured so."""
+    names = list(dict.fromkeys(n for s in rows for n in s.deltas))
     head = ("value", "processor time", "wall clock", "peak, GiB", *names)
+
+    def said_of(s: Setting, name: str) -> str:
+        if name not in s.deltas:
+            return "–"
+        return f"{s.deltas[name]:+.3g}" + (f" ± {s.spread[name]:.2g}" if np.isfinite(s.spread[name]) else "")
+
     table = []
     for s in rows:
-        off = [f"{s.deltas[n]:+.3g}" + (f" ± {s.spread[n]:.2g}" if np.isfinite(s.spread[n]) else "") for n in names]
+        off = [said_of(s, n) for n in names]
         table.append((said(s.value), f"{s.ratio:.2f}", f"{s.wall_ratio:.2f}", f"{s.memory_bytes / 2**30:.1f}", *off))
     return head, tuple(table)
 
 
 def plot(rows: Sequence[Setting], spread: dict[str, float]):
     """The Pareto plots of some settings."""
-    return pareto_plot(rows, spread, list(rows[0].deltas))
+    return pareto_plot(rows, spread, measures_of_all(rows))
 
 
 def knob_section(knob, rows: Sequence[Setting], spread: dict[str, float], default) -> Section:
@@ -158,7 +169,7 @@ def preset_section(rows: Sequence[Setting], spread: dict[str, float]) -> tuple[S
     from sira_assets.plan.front import dominated
 
     rows = sorted(rows, key=lambda s: s.ratio)
-    names = list(rows[0].deltas)
+    names = measures_of_all(rows)
     losses = np.array([[s.deltas[n] for n in names] for s in rows])
     lost = dominated([s.ratio for s in rows], losses)
     head, table = settings_table(rows)

@@ -11,7 +11,7 @@ import pytest
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
-from _tradeoff_figures import REFERENCE, Record, compared, curve_of, write_csv  # noqa: E402
+from _tradeoff_figures import REFERENCE, Record, Setting, compared, curve_of, write_csv  # noqa: E402
 from _tradeoff_keep import FarEnough, StageKeeper, digest, measured  # noqa: E402
 from _tradeoff_measures import bilinear  # noqa: E402
 
@@ -180,3 +180,15 @@ def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path, capsys):
     after = {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
     assert {n: t for n, t in after.items() if n != gone.name} == {n: t for n, t in before.items() if n != gone.name}
     assert set(after) == set(before)
+
+
+def test_settings_measured_to_different_ends_share_a_table():
+    from _tradeoff_report import plot, settings_table
+
+    whole = Setting("k", 1, 1.0, 1.0, {}, {"face_mm": 0.0, "asset_mm": 0.0}, {"face_mm": 0.1, "asset_mm": 0.2}, 1, 2)
+    short = Setting("k", 2, 0.5, 0.5, {}, {"face_mm": 0.3}, {"face_mm": float("nan")}, 1, 1)
+    for rows in ([whole, short], [short, whole]):  # their order is that of their costs, so of the machine's whims
+        head, table = settings_table(rows)
+        column = head.index("asset_mm")
+        assert {row[0]: row[column] for row in table} == {"1": "+0 ± 0.2", "2": "–"}
+        assert [a.get_title().split(":")[0] for a in plot(rows, {}).axes] == ["face_mm"]
