@@ -34,8 +34,8 @@ class ShapeConfig:
     reference_width: int = 128
     reference_depth: int = 4
     reference_octaves: int = 5
-    renderer_width: int = 128
-    renderer_depth: int = 3
+    renderer_width: int = 192
+    renderer_depth: int = 4
     renderer_octaves: int = 5
     reference: bool = True
     joint_appearance: bool = True

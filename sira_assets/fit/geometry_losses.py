@@ -53,6 +53,8 @@ class GeometryFitConfig:
     # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
     # a hole in the render.
     cover: float = 8.0
+    # Band rays that were on the wrong side of the silhouette are followed this much more often from then on.
+    attention: float = 1.0
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -99,6 +101,7 @@ class GeometryLosses:
         }
         for name, rays in (("inside", self.inside), ("edge", self.edge)):
             own |= {f"{name}_index": rays.index, f"{name}_t": rays.t, f"{name}_hit": rays.hit}
+        own["edge_weight"] = self.edge.weight
         for name, model in (("model", self.model), ("before", self.before)):
             own |= {f"{name}.{key}": value for key, value in model.state_dict().items()}
         return own
@@ -136,6 +139,7 @@ class GeometryLosses:
         z_sdf = self.codes()[0]
         self.inside.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
+        self.edge.attend(self.config.attention)
         self.edge.deepest(self.model, z_sdf, self.pose)
 
     def losses(self, generator: torch.Generator, *, geometry: bool) -> dict[str, Tensor]:

@@ -49,6 +49,11 @@ class KeptRays:
         self.t.copy_(hits.t)
         self.hit.copy_(hits.hit)
 
+    def attend(self, attention: float) -> None:
+        """Choose rays that ended on the wrong side of the silhouette `attention` times as often as the others."""
+        wrong = self.hit != self.every.in_mask[self.index]
+        self.weight[self.index] = torch.where(wrong, attention, 1.0)
+
     def deepest(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, reach=0.6, samples=12) -> None:
         """Move each hit to the lowest f within `reach` behind it: how far a wrong hit is inside."""
         rays = self.rays

@@ -8,14 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
+from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig, sdf_and_gradient
 from sira_assets.numerics.srgb import srgb_encode
 from sira_assets.train.batches import Batch, SampleTensors
 from sira_assets.train.loop import LoopConfig, Trainee, digest, train
 from sira_assets.train.parallel import Share
 from sira_assets.train.scenes import LANDMARKS
+
+# Standard deviation of the widest principal code: what the widest direction has after a training without them.
+WIDEST_CODE = 0.45
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,8 @@ class ShapeTrainConfig:
     anchors: int = 64
     rate: float = 1.0e-3
     code_rate: float = 2.0e-3
+    # Codes that start from principal components of the heads' correspondences; 0 starts all near zero, as the paper.
+    principal_codes: int = 44
     # The deformation opens after this many steps; until then the reference learns the heads' median.
     reference_steps: int = 400
     eikonal: float = 0.1
@@ -59,11 +66,56 @@ class ShapeCodes:
     z_r: nn.Parameter
 
 
-def new_codes(count: int, config: ShapeConfig, seed: int) -> ShapeCodes:
-    """Codes near zero, as the paper starts them."""
+def new_codes(count: int, config: ShapeConfig, seed: int, principal: Tensor | None = None) -> ShapeCodes:
+    """Codes near zero, as the paper starts them; the first columns of z_sdf are `principal` (count, K), if given."""
     generator = torch.Generator().manual_seed(seed)
     size = (config.code_size, config.appearance_code_size)
-    return ShapeCodes(*(nn.Parameter(0.05 * torch.randn(count, s, generator=generator)) for s in size))
+    z_sdf, z_r = (0.05 * torch.randn(count, s, generator=generator) for s in size)
+    if principal is not None:
+        z_sdf[:, : principal.shape[1]] = principal[:, : config.code_size]
+    return ShapeCodes(nn.Parameter(z_sdf), nn.Parameter(z_r))
+
+
+def principal_codes(anchors: Float[Tensor, "N A 3"], count: int) -> Float[Tensor, "N K"]:
+    """Principal components of heads in correspondence, scaled as codes: the wider a direction, the wider its code.
+
+    An auto-decoder must discover how heads vary; where they are in correspondence, a linear model knows it before the
+    first step, and its order (the broadest variations first) is kept.
+
+    Parameters
+    ----------
+    anchors : points in correspondence, network units; NaN where a head lacks one
+    count : columns asked for
+
+    Returns
+    -------
+    K = `count`, or fewer where fewer than twice as many heads have all their points; the code of a head that lacks
+    points is the likeliest one given those that it has, with a millimetre of noise.
+    """
+    points = anchors.double().flatten(1)
+    known = torch.isfinite(points)
+    whole = known.all(1)
+    heads, noise = int(whole.sum()), 0.001 / UNIT_M
+    if heads < 2:
+        return anchors.new_zeros(len(anchors), 0)
+    mean = points[whole].mean(0)
+    _, scale, basis = torch.linalg.svd(points[whole] - mean, full_matrices=False)
+    scale = scale / heads**0.5
+    # Directions in which points differ by less than a micrometre are none.
+    count = min(count, heads // 2, int((scale > 1e-3 * noise * points.shape[1] ** 0.5).sum()))
+    if count < 1:
+        return anchors.new_zeros(len(anchors), 0)
+    scale, basis = scale[:count], basis[:count]
+    # The sign of a singular vector is the library's whim; make its greatest entry positive.
+    basis = basis * basis.gather(1, basis.abs().argmax(1, keepdim=True)).sign()
+    reach = basis * scale[:, None]
+    coefficients = []
+    for row, has in zip(points - mean, known, strict=True):
+        b = reach[:, has]
+        system = b @ b.T + noise**2 * torch.eye(count, dtype=b.dtype)
+        coefficients.append(torch.linalg.solve(system, b @ row[has]))
+    width = WIDEST_CODE * (scale / scale[0]).sqrt()
+    return (torch.stack(coefficients) * width).to(anchors)
 
 
 def shape_losses(
@@ -168,7 +220,8 @@ def train_shape(
     """
     torch.manual_seed(config.seed)
     model = ShapeAppearanceModel(model_config).to(device)
-    codes = new_codes(len(data), model_config, config.seed)
+    principal = principal_codes(data.anchors.cpu(), config.principal_codes)
+    codes = new_codes(len(data), model_config, config.seed, principal)
     codes = ShapeCodes(*(nn.Parameter(code.data.to(device)) for code in (codes.z_sdf, codes.z_r)))
     trainee = Trainee(model, {"z_sdf": codes.z_sdf, "z_r": codes.z_r}, config.rate, config.code_rate)
 

@@ -15,7 +15,7 @@ from sira_assets.train.guard import GuardedOptimiser
 from sira_assets.train.loop import learning_rate
 from sira_assets.train.parallel import Share
 from sira_assets.train.scenes import SceneSamples
-from sira_assets.train.shape import ShapeTrainConfig, new_codes, shape_losses, train_shape
+from sira_assets.train.shape import ShapeTrainConfig, new_codes, principal_codes, shape_losses, train_shape
 
 MODEL = ShapeConfig(code_size=4, appearance_code_size=4, feature_size=2, deformation_width=16, reference_width=24)
 SHORT = ShapeTrainConfig(
@@ -52,6 +52,60 @@ def sphere_scene(radius, seed) -> SceneSamples:
 @pytest.fixture(scope="module")
 def spheres() -> SampleTensors:
     return stack([sphere_scene(r, i) for i, r in enumerate((0.8, 0.9, 1.0, 1.1))])
+
+
+def linear_heads(count: int, modes: int, seed: int = 0):
+    """Heads (count, 60, 3) of a linear model whose modes are orthogonal and ever smaller, and their coefficients."""
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(180, modes)))[0].T
+    coefficients = rng.normal(size=(count, modes)) * 0.5 ** np.arange(modes)
+    coefficients -= coefficients.mean(0)
+    return torch.as_tensor((coefficients @ basis).reshape(count, 60, 3)), coefficients
+
+
+def test_principal_codes_order_heads_as_they_differ():
+    points, coefficients = linear_heads(200, 6)
+    codes = principal_codes(points, 4).numpy()
+    assert codes.shape == (200, 4)
+    width = codes.std(0)
+    assert width[0] == pytest.approx(0.45, rel=0.02)  # a millimetre of noise takes a hundredth of the widest mode
+    assert np.all(np.diff(width) < 0)
+    # In 200 draws the principal axes lie near the model's own; the widest two are told apart without doubt.
+    for k in range(2):
+        assert abs(np.corrcoef(codes[:, k], coefficients[:, k])[0, 1]) > 0.98
+    # Where heads stand and which comes first does not matter.
+    moved = principal_codes(points + torch.tensor([1.0, -2.0, 3.0]), 4).numpy()
+    np.testing.assert_allclose(moved, codes, atol=1e-9)
+    np.testing.assert_allclose(principal_codes(points.flip(0), 4).numpy()[::-1], codes, atol=1e-9)
+
+
+def test_a_head_that_lacks_points_gets_the_likeliest_code():
+    points, _ = linear_heads(60, 3)
+    whole = principal_codes(points, 3)
+    holed = points.clone()
+    holed[5, 20:] = torch.nan  # 60 of 180 numbers are left, many more than three unknowns
+    codes = principal_codes(holed, 3)
+    others = [i for i in range(60) if i != 5]
+    # The axes themselves come from 59 heads instead of 60.
+    np.testing.assert_allclose(codes[others], whole[others], atol=0.03)
+    np.testing.assert_allclose(codes[5], whole[5], atol=0.05)
+    nothing = points.clone()
+    nothing[5] = torch.nan
+    assert principal_codes(nothing, 3)[5].abs().max() == 0.0  # the mean head
+
+
+def test_few_heads_or_equal_ones_start_as_in_the_paper():
+    points, _ = linear_heads(8, 3)
+    assert principal_codes(points[:1], 3).shape == (1, 0)
+    assert principal_codes(points[:1].expand(9, -1, -1), 3).shape == (9, 0)
+    assert principal_codes(points, 30).shape == (8, 3)
+    lacking = points.clone()
+    lacking[:, 0] = torch.nan
+    assert principal_codes(lacking, 3).shape == (8, 0)
+    paper, started = new_codes(8, MODEL, 0), new_codes(8, MODEL, 0, principal_codes(points, 30).float())
+    assert torch.equal(paper.z_sdf[:, 3:], started.z_sdf[:, 3:])
+    assert torch.equal(paper.z_r, started.z_r)
+    assert not torch.equal(paper.z_sdf[:, :3], started.z_sdf[:, :3])
 
 
 def test_every_term_vanishes_on_a_perfect_model(spheres):
