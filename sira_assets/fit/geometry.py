@@ -25,7 +25,7 @@ from sira_assets.scene.portrait import Portrait
 # torch.multinomial takes at most 2^24 weights; a photo larger than this is drawn from at random first.
 MOST_PIXELS = 2_000_000
 # Processor time of a step of each stage beside a step of the codes, on two cores with AVX-512.
-WORK = {"appearance code": 0.35, "codes": 1.0, "networks": 1.5}
+WORK = {"appearance code": 0.35, "codes": 1.0, "networks": 1.5, "cover": 1.5}
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,10 @@ def fit_geometry(
         (fit.network_parameters(), c.rate_networks),
     ]
     networks = stage("networks", c.steps_networks, networks_groups, begin=fit.remember, enter=fit.open_networks)
+    cover_groups = [(list(fit.model.deformation.parameters()), c.rate_cover)]
+    cover = stage("cover", c.steps_cover, cover_groups, begin=fit.begin_cover, enter=fit.open_cover)
     record = run_stages(
-        [settle, codes, networks],
+        [settle, codes, networks, cover],
         fit.state(),
         seed=c.seed,
         device=device,

@@ -33,6 +33,7 @@ class GeometryFitConfig:
     steps_appearance: int = 80
     steps_codes: int = 200
     steps_networks: int = 320
+    steps_cover: int = 0
     pool: int = 6000
     band_pool: int = 2500
     rays: int = 1000
@@ -53,8 +54,10 @@ class GeometryFitConfig:
     # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
     # a hole in the render.
     cover: float = 8.0
-    # Band rays that were on the wrong side of the silhouette are followed this much more often from then on.
-    attention: float = 1.0
+    # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.
+    attention: float = 30.0
+    hold: float = 400.0
+    rate_cover: float = 1.0e-4
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -81,7 +84,7 @@ class GeometryLosses:
         # Phase A's end, from which phase B should not stray.
         self.before = copy.deepcopy(self.model)
         self.before_z = prior.z_sdf.mean.clone()
-        self.networks_open = False
+        self.networks_open = self.covering = False
         zeros = lambda n: nn.Parameter(torch.zeros(n, device=device))  # noqa: E731
         self.coefficients, self.appearance = zeros(prior.z_sdf.basis.shape[1]), zeros(prior.z_r.basis.shape[1])
         self.pose = PoseCorrection(zeros(3), zeros(3))
@@ -125,6 +128,16 @@ class GeometryLosses:
         for parameter in self.network_parameters():
             parameter.requires_grad_(True)
 
+    def begin_cover(self) -> None:
+        """Take the present state as what phase C should keep, and look where the silhouette is wrong."""
+        self.remember()
+        self.edge.attend(self.config.attention, self.model, self.codes()[0], self.pose, self.config.trace)
+
+    def open_cover(self) -> None:
+        """Let gradients reach the deformation alone."""
+        self.open_networks()
+        self.covering = True
+
     @torch.no_grad()
     def remember(self) -> None:
         """Take the present state as phase A's end."""
@@ -139,7 +152,6 @@ class GeometryLosses:
         z_sdf = self.codes()[0]
         self.inside.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
-        self.edge.attend(self.config.attention)
         self.edge.deepest(self.model, z_sdf, self.pose)
 
     def losses(self, generator: torch.Generator, *, geometry: bool) -> dict[str, Tensor]:
@@ -165,6 +177,14 @@ class GeometryLosses:
         length = gradient.norm(dim=-1)
         normals = gradient / length.clamp_min(1e-6)[:, None]
         x = differentiable_hit(x0, directions, f, gradient)
+        if self.covering:
+            far, uneven = self._anchor(x.detach(), z_sdf, generator)
+            return {
+                "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
+                "eikonal": c.eikonal * ((length - 1.0) ** 2).mean(),
+                "anchor": c.hold * far,
+                "slope": c.slope * uneven,
+            }
         on = (f.detach().abs() < c.lost).float()
         with torch.no_grad():
             # A step that is not finite is taken back; its rays must stay where they were.
@@ -218,7 +238,8 @@ class GeometryLosses:
         edge = self.edge.draw(256, generator, torch.ones_like(self.edge.t))
         rays = self.edge.drawn(edge)
         band = rays.origins + self.edge.t[edge, None] * rays.directions
-        points = torch.cat([x[:384], band, low + (high - low) * random])
+        seen = [x] if self.covering else [x[:384], band]
+        points = torch.cat([*seen, low + (high - low) * random])
         away = SLOPE_REACH * torch.randn(points.shape, generator=generator, device=x.device)
         both = torch.cat([points, points + away])
         with torch.no_grad():

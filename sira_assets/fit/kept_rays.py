@@ -6,7 +6,7 @@ Notation: rays o + t d in the canonical frame, network units, before the pose co
 import torch
 from torch import Tensor
 
-from sira_assets.fields.head_field import BOUNDS_M
+from sira_assets.fields.head_field import BOUNDS_M, CHUNK
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.sa_sm import ShapeAppearanceModel
 from sira_assets.fit.pixels import PixelRays
@@ -49,10 +49,17 @@ class KeptRays:
         self.t.copy_(hits.t)
         self.hit.copy_(hits.hit)
 
-    def attend(self, attention: float) -> None:
-        """Choose rays that ended on the wrong side of the silhouette `attention` times as often as the others."""
-        wrong = self.hit != self.every.in_mask[self.index]
-        self.weight[self.index] = torch.where(wrong, attention, 1.0)
+    def attend(
+        self, attention: float, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, config=TraceConfig()
+    ) -> None:
+        """Trace every ray, and follow those on the wrong side of the silhouette `attention` times as often."""
+        low, high = (self.t.new_tensor(b / UNIT_M) for b in BOUNDS_M)
+        for part in torch.arange(len(self.every), device=self.t.device).split(CHUNK):
+            rays = self.every.select(part)
+            with torch.no_grad():
+                origins, directions = corrected(pose, rays.origins, rays.directions)
+                hit = sphere_trace(lambda x: model(x, z_sdf)[0], origins, directions, low, high, config).hit
+            self.weight[part] = torch.where(hit == rays.in_mask, 1.0, attention)
 
     def deepest(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, reach=0.6, samples=12) -> None:
         """Move each hit to the lowest f within `reach` behind it: how far a wrong hit is inside."""
