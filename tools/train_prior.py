@@ -16,12 +16,14 @@ import _cli
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--scenes", type=Path, help="folder of generated scenes")
+    p.add_argument("--scenes", type=Path, nargs="+", default=[], metavar="DIR", help="folders of generated scenes")
     p.add_argument(
         "--scans",
         type=Path,
+        nargs="+",
+        default=[],
         metavar="DIR",
-        help="folder of your own scans' scenes (make_scenes.py --from-scan), beside --scenes or alone",
+        help="folders of your own scans' scenes (make_scenes.py --from-scan), beside --scenes or alone",
     )
     p.add_argument("--out", type=Path, required=True, help="the prior, a .safetensors file")
     p.add_argument("--run", type=Path, default=Path("runs/prior"), help="checkpoints and loss curves")
@@ -65,7 +67,7 @@ def body(args: argparse.Namespace) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with contextlib.nullcontext() if args.quiet else Progress(*columns, console=Console(stderr=True)) as progress:
         train_prior(
-            [folder for folder in (args.scenes, args.scans) if folder is not None],
+            [*args.scenes, *args.scans],
             args.out,
             args.run,
             config=replace(base, shape=shape, appearance=appearance),
@@ -81,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     """Exit status: 0, 2 usage, 3 bad input, 130 interrupted (go on with --resume)."""
     p = parser()
     args = p.parse_args(argv)
-    if args.scenes is None and args.scans is None:
+    if not args.scenes and not args.scans:
         p.error("give --scenes, --scans, or both")
     return _cli.run(lambda: body(args))
 

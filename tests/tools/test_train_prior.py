@@ -31,10 +31,13 @@ def test_a_folder_without_scenes_is_bad_input(tmp_path):
 def test_from_scenes_to_a_prior(tmp_path):
     from sira_assets.fields.prior import load_prior
 
-    made = tool("make_scenes", "--count", 3, "--views", 2, "--size", 48, "--samples", 4, "--out", tmp_path / "scenes")
-    assert made.returncode == 0, made.stderr
+    folders = [tmp_path / "two", tmp_path / "one"]  # sets of heads may lie in several folders
+    for folder, start, count in ((folders[0], 0, 2), (folders[1], 2, 1)):
+        few = ["--views", 2, "--size", 48, "--samples", 4, "--out", folder]
+        made = tool("make_scenes", "--start", start, "--count", count, *few)
+        assert made.returncode == 0, made.stderr
     out = tmp_path / "p.safetensors"
-    common = ["--scenes", tmp_path / "scenes", "--out", out, "--run", tmp_path / "run", "--steps", 4, "--quiet"]
+    common = ["--scenes", *folders, "--out", out, "--run", tmp_path / "run", "--steps", 4, "--quiet"]
     for extra in ([], ["--resume"]):
         done = tool("train_prior", *common, "--appearance-steps", 3, "--workers", 1, *extra)
         assert done.returncode == 0, done.stderr
