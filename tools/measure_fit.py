@@ -5,10 +5,12 @@
   pose SCENE...       nine noisy 2D landmarks in place of the given pose
   fairness            the same heads, poses and lights in three skin tones, drawn into --out
   stability SCENE     a sound scene spoilt in every way that users' photos are
+  extremes SCENE      lights, lenses, sizes and masks at the ends of what a photo can be
 
 SCENE is a scene with gt/, or SCENE=TRUTH where the truth stands elsewhere; a folder of scenes stands for all of them.
 Figures are kept in --out as they are found: the same command goes on. Seconds are processor time of one process. Exit
-status: 0 measured, 3 unusable input, 4 a stability case did not end sane, 130 interrupted.
+status: 0 measured, 3 unusable input, 4 a case ended neither sane nor, of the extremes,
+refused, 130 interrupted.
 """
 
 import argparse
@@ -34,9 +36,9 @@ def parser() -> argparse.ArgumentParser:
         prog="measure_fit.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     what = out.add_subparsers(dest="what", required=True, metavar="WHAT")
-    for name in ("heldout", "pose", "stability"):
+    for name in ("heldout", "pose", "stability", "extremes"):
         one = what.add_parser(name, parents=[shared])
-        one.add_argument("scenes", nargs=1 if name == "stability" else "+", metavar="SCENE[=TRUTH]")
+        one.add_argument("scenes", nargs=1 if name in ("stability", "extremes") else "+", metavar="SCENE[=TRUTH]")
         if name == "pose":
             one.add_argument("--noise", type=float, default=2.5, metavar="PX", help="of each landmark (default 2.5)")
     fairness = what.add_parser("fairness", parents=[shared])
@@ -61,7 +63,8 @@ def measure(a: argparse.Namespace) -> int:
 
     from _fit_measurement import write_rows
 
-    rows, show = {"heldout": heldout, "pose": pose, "fairness": fairness, "stability": stability}[a.what](a)
+    measures = (heldout, pose, fairness, stability, extremes)
+    rows, show = {measure.__name__: measure for measure in measures}[a.what](a)
     if a.table:
         write_rows(a.table, rows)
     if a.json:
@@ -101,18 +104,32 @@ def fairness(a: argparse.Namespace):
 
 def stability(a: argparse.Namespace):
     """One scene, spoilt."""
+    from _measure_stability import CASES, print_stability
+
+    return each_case(a, CASES), print_stability
+
+
+def extremes(a: argparse.Namespace):
+    """One scene, taken to the ends."""
+    from _measure_extremes import CASES, accepted, print_extremes
+
+    return [accepted(row) for row in each_case(a, CASES)], print_extremes
+
+
+def each_case(a: argparse.Namespace, cases) -> list[dict]:
+    """The whole journey on every case of one scene."""
     from _fit_measurement import read_measured_scene, scene_and_truth
-    from _measure_stability import CASES, measure_case, print_stability
+    from _measure_stability import measure_case
 
     scene = read_measured_scene(*scene_and_truth(a.scenes[0]))
     results, settings, prior = kept(a, scene=scene.name)
     rows = []
-    for case in CASES:
+    for case in cases:
         say(a, case.name)
         name = "".join(c if c.isalnum() else "_" for c in case.name)
         row = results.of(f"{scene.name}-{name}", lambda case=case: measure_case(case, scene, prior(), settings))
         rows.append({"case": case.name} | row)
-    return rows, print_stability
+    return rows
 
 
 def each_scene(a: argparse.Namespace, figures, **facts) -> list[dict]:

@@ -174,6 +174,45 @@ def test_held_out_and_pose_in_small(tool, scene_folder, tmp_path, capsys):
     assert row["given_placed"] > 0
 
 
+def test_every_extreme_is_what_it_says(scene):
+    from _measure_extremes import CASES, accepted
+
+    assert len({case.name for case in CASES}) == len(CASES)
+    made = {case.name: case.spoil(scene) for case in CASES if "8192" not in case.name}
+    p = scene.portrait
+    assert made["black"].image_linear.max() == 0.0
+    assert made["white"].saturated.all()
+    assert (made["one pixel of light"].image_linear.max(-1) > 0).sum() == 1
+    assert made["mask of 50 pixels"].mask.sum() == 50
+    assert made["mask that is everything"].mask.all()
+    # A sharp lamp is a directional one: what it lights is the cosine, so half of a ball and no more.
+    lamp = made["lamp of sharpness 1e6"].image_linear[p.mask].max(-1)
+    assert np.isfinite(lamp).all()
+    assert 0.5 < (lamp > 0.01).mean() <= 1.0
+    assert (made["rim light"].image_linear[p.mask].max(-1) > 0.01).mean() < 0.5
+    tele, wide, far = (made[name] for name in ("field of view 2 deg", "field of view 170 deg", "10 m away"))
+    for q, degrees in ((tele, 2.0), (wide, 170.0)):
+        assert 2 * np.degrees(np.arctan(q.camera.width / 2 / q.camera.intrinsics[0, 0])) == pytest.approx(degrees)
+    assert 0.05 < tele.mask.mean() < 0.9
+    assert far.mask.sum() < 0.1 * tele.mask.sum()
+    # What another camera sees is the photo: the head's mean colour stays, but for what the photo did not see.
+    mean = p.image_linear[p.mask].mean(0)
+    np.testing.assert_allclose(tele.image_linear[tele.mask].mean(0), mean, rtol=0.35)
+    # A refusal in words is an end as good as a sane avatar; anything else is not.
+    assert accepted({"sane": False, "wrong": "refused"})["sane"]
+    assert not accepted({"sane": False, "wrong": "radiance"})["sane"]
+
+
+@pytest.mark.slow
+def test_an_extreme_is_refused_in_words(tool, scene, capsys, monkeypatch, tmp_path):
+    import _measure_extremes
+
+    wanted = [case for case in _measure_extremes.CASES if case.name == "black"]
+    monkeypatch.setattr(_measure_extremes, "CASES", wanted)
+    assert tool.main(["extremes", str(scene.folder), "--out", str(tmp_path), "--quiet"]) == 0
+    assert "refused" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_a_spoilt_scene_ends_sane(tool, scene, capsys, monkeypatch, tmp_path):
     import _measure_stability
