@@ -19,6 +19,7 @@ BLACK = 0.002
 LEAST_OVERLAP = 0.9
 MOST_HOLES = 0.002
 MOST_POSE_DEG = 8.0
+MOST_OUTLINE = 0.03
 FEWEST_PIXELS = 6000
 
 
@@ -69,9 +70,21 @@ def geometry_doubts(portrait: Portrait, geometry: GeometryFit, prior: Prior, hit
     overlap = float((mask & hit)[seen].sum() / max((mask | hit)[seen].sum(), 1))
     if overlap < LEAST_OVERLAP:
         said.append(f"head and mask overlap by {overlap:.0%} only: check camera, landmarks, canonical_from_world, mask")
+    outline = outline_left(geometry.history)
+    if outline > MOST_OUTLINE:
+        said.append(
+            f"no likely head has the mask's outline (left over: {outline / MOST_OUTLINE:.1f} times what is usual at "
+            "most): check focal length, camera pose and mask; much hair or a hat does that as well"
+        )
     if geometry.pose_change_deg > MOST_POSE_DEG:
         said.append(f"the head was turned by {geometry.pose_change_deg:.0f} degrees: check landmarks and focal length")
     return tuple(said)
+
+
+def outline_left(history) -> float:
+    """The silhouette's loss when the codes had settled and the networks, which can follow any outline, not yet begun."""
+    of_codes = [terms["silhouette"] for _, terms in history if "silhouette" in terms and "anchor" not in terms]
+    return float(np.mean(of_codes[-3:])) if of_codes else 0.0
 
 
 def sigma_distance(statistics: CodeStatistics, code: Tensor) -> float:

@@ -71,7 +71,7 @@ def test_pixels_of_a_hole_are_no_silhouette():
 def test_holes_in_the_mask_are_no_want_of_overlap():
     p = sound()
     statistics = CodeStatistics.of(torch.randn(40, 6))
-    geometry = SimpleNamespace(warnings=(), z_sdf=statistics.mean, pose_change_deg=0.0)
+    geometry = SimpleNamespace(warnings=(), z_sdf=statistics.mean, pose_change_deg=0.0, history=())
     rows, columns = np.mgrid[:96, :96]
     hole = (rows - 40) ** 2 + (columns - 48) ** 2 < 120
     assert (p.mask & hole).sum() > 0.15 * p.mask.sum()
@@ -79,3 +79,17 @@ def test_holes_in_the_mask_are_no_want_of_overlap():
     assert said == ()
     half = p.mask & (columns < 48)
     assert "overlap" in geometry_doubts(p, geometry, SimpleNamespace(z_sdf=statistics), half)[0]
+
+
+def test_an_outline_that_no_code_reaches_is_named():
+    p = sound()
+    statistics = CodeStatistics.of(torch.randn(40, 6))
+    settling, codes, networks = {"colour": 1.0}, {"silhouette": 0.9}, {"silhouette": 0.001, "anchor": 0.1}
+    settled = {"silhouette": 2.0 * doubts.MOST_OUTLINE}
+    history = ((10, settling), (20, codes), *((k, settled) for k in (30, 40, 50)), (60, networks))
+    assert doubts.outline_left(history) == pytest.approx(2.0 * doubts.MOST_OUTLINE)
+    assert doubts.outline_left(history[:1]) == 0.0
+    geometry = SimpleNamespace(warnings=(), z_sdf=statistics.mean, pose_change_deg=0.0, history=history)
+    (said,) = geometry_doubts(p, geometry, SimpleNamespace(z_sdf=statistics), p.mask)
+    assert "2.0 times" in said
+    assert "focal length" in said
