@@ -82,7 +82,7 @@ def geometry_doubts(portrait: Portrait, geometry: GeometryFit, prior: Prior, hit
 
 
 def outline_left(history) -> float:
-    """The silhouette's loss when the codes had settled and the networks, which can follow any outline, not yet begun."""
+    """The silhouette's loss once the codes had settled; the networks, which come next, can follow any outline."""
     of_codes = [terms["silhouette"] for _, terms in history if "silhouette" in terms and "anchor" not in terms]
     return float(np.mean(of_codes[-3:])) if of_codes else 0.0
 
