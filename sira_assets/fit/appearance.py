@@ -100,7 +100,7 @@ def fit_appearance(
         )
         evidence = Evidence.of(fit.points, fit.light.lobes(), fit.shares())
         evidence, shadowed, shadow_decision = needed_shadows(evidence)
-        evidence, lobe_decision = needed_lobes(evidence)
+        evidence, lobe_decision = needed_lobes(evidence, sought=len(fit.light.kept), merging=float(fit.merging))
         head, specular_decision = needed_specular(head, evidence, float(fit.roughness))
         lobes = evidence.lobes
         axis, sharpness, amplitude = (t.double().cpu().numpy() for t in lobes)

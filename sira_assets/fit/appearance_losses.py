@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from sira_assets.fields.af_sm import AppearanceFactorModel
 from sira_assets.fields.fitted import AlbedoRefinement, RefinementConfig
 from sira_assets.fields.prior import Prior
+from sira_assets.fit.fewer_lobes import fewer_lobes
 from sira_assets.fit.light import FreeLight
 from sira_assets.fit.seen_surface import SurfacePoints
 from sira_assets.fit.shadows import FitShadows, ShadowConfig
@@ -40,6 +41,7 @@ class AppearanceFitConfig:
     drift : weight of the patches' mean refinement, see `_drift`; `drift_scale` the share of the base albedo from which
         on a patch counts as of another material, `drift_cell` its size (network units), `drift_from` the share of the
         refinement's steps after which the term sets in
+    merge : lobes are made one, once found, while the seen surface's mean sRGB-encoded radiance changes by no more
     roughness_every : steps between two looks for a better roughness
     """
 
@@ -69,6 +71,7 @@ class AppearanceFitConfig:
     shadows: bool = True
     scheduled: bool = True
     roughness_every: int = 10
+    merge: float = 0.002
     rays: ShadowConfig = ShadowConfig()
     refinement: RefinementConfig = RefinementConfig()
     seed: int = 0
@@ -80,6 +83,8 @@ SLOPE_AT_WHITE = 1.055 / 2.4
 ROUGHNESS_STEP = 0.02
 ROUGHNESS_RANGE = (0.3, 0.7)
 ROUGHNESS_POINTS = 4000
+# Points that decide which lobes are made one.
+MERGED_POINTS = 1500
 # A channel of a clipped pixel counts as clipped from here, an 8-bit step below white.
 CLIPPED = 254.5 / 255.0
 
@@ -110,6 +115,8 @@ class AppearanceLosses:
         self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
         self.z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
         self.roughness = torch.tensor(ROUGHNESS, dtype=torch.float64)
+        # What making lobes one has changed so far.
+        self.merging = torch.tensor(0.0, dtype=torch.float64)
         feature_size = surface.gamma.shape[-1]
         # Layers draw their first weights from the global generator: seeded here, and left as it was.
         with torch.random.fork_rng(devices=[]):
@@ -119,9 +126,8 @@ class AppearanceLosses:
 
     def state(self) -> dict[str, Tensor]:
         """All that the fit's steps change."""
-        names = ("axis", "log_sharpness", "log_amplitude")
-        own = {name: getattr(self.light, name) for name in names} | {"z_a": self.z_a, "z_s": self.z_s}
-        own["roughness"] = self.roughness
+        own = self.light.state() | {"z_a": self.z_a, "z_s": self.z_s}
+        own |= {"roughness": self.roughness, "merging": self.merging}
         own |= {f"refinement.{key}": value for key, value in self.refinement.state_dict().items()}
         if not self.config.scheduled:
             own |= {f"model.{key}": value for key, value in self.model.state_dict().items()}
@@ -133,7 +139,9 @@ class AppearanceLosses:
             self.table = self.shadows.early_table(self.early)
 
     def aim(self) -> None:
-        """Turn to the light that was found."""
+        """Turn to the light that was found: lobes that the surface cannot tell apart are made one."""
+        if self.config.merge > 0:
+            self._merge_lobes()
         if self.shadows is not None:
             self.shadows.aim(self.light)
 
@@ -152,7 +160,7 @@ class AppearanceLosses:
     def look(self) -> None:
         """Take the shares that the refinement holds."""
         if self.table is not None:
-            self.held.copy_(self.shares())
+            self.held[:, self.light.kept] = self.shares()
 
     def losses(self, generator: torch.Generator, *, k_s: float, refine: bool, drift: bool = False) -> dict[str, Tensor]:
         """Weighted loss terms of one step.
@@ -184,7 +192,7 @@ class AppearanceLosses:
             seen = None
         else:
             # While the light is sought its shadows pull at it; in the refinement it hardly moves.
-            seen = self.held[rows] if refine else self.table.share(rows, *lobes[:2])
+            seen = self.held[rows][:, self.light.kept] if refine else self.table.share(rows, *lobes[:2])
         roughness = float(self.roughness)
         shading = shade(
             points.normals,
@@ -250,6 +258,25 @@ class AppearanceLosses:
         low, high = ROUGHNESS_RANGE
         tried = [r for r in (now, now - ROUGHNESS_STEP, now + ROUGHNESS_STEP) if low <= r <= high]
         self.roughness.fill_(round(min(tried, key=error), 6))
+
+    @torch.no_grad()
+    def _merge_lobes(self) -> None:
+        """One lobe for those that could be told apart on the seen surface by less than `merge`."""
+        rows = torch.arange(0, len(self.early), max(1, len(self.early) // MERGED_POINTS), device=self.z_a.device)
+        points = self.early.rows(rows)
+        albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
+        f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
+        lobes, kept, change = fewer_lobes(
+            points.normals,
+            points.view,
+            albedo,
+            f0,
+            self.light.lobes(),
+            roughness=float(self.roughness),
+            most_change=self.config.merge,
+        )
+        self.light.put(lobes, kept)
+        self.merging += change
 
     @torch.no_grad()
     def _match_exposure(self) -> None:

@@ -30,20 +30,37 @@ class FreeLight:
         self.log_sharpness = nn.Parameter(sharpness.log())
         self.log_amplitude = nn.Parameter(amplitude.clamp_min(1e-4).log())
         self.start = self.log_sharpness.detach().clone()
+        # Lobes that were merged into others no longer count; their parameters stay, so that shapes do.
+        self.kept = torch.ones_like(self.start, dtype=torch.bool)
 
     def parameters(self) -> list[nn.Parameter]:
         """What an optimiser moves."""
         return [self.axis, self.log_sharpness, self.log_amplitude]
 
     def lobes(self) -> tuple[Float[Tensor, "M 3"], Float[Tensor, " M"], Float[Tensor, "M 3"]]:
-        """Axis, sharpness in (0.02, 3000) and amplitude in (6e-6, 22000)."""
+        """Of the lobes that count: axis, sharpness in (0.02, 3000) and amplitude in (6e-6, 22000)."""
         axis = nn.functional.normalize(self.axis, dim=-1)
-        return axis, self.log_sharpness.clamp(-4.0, 8.0).exp(), self.log_amplitude.clamp(-12.0, 10.0).exp()
+        lobes = axis, self.log_sharpness.clamp(-4.0, 8.0).exp(), self.log_amplitude.clamp(-12.0, 10.0).exp()
+        return tuple(t[self.kept] for t in lobes)
 
     def energy(self) -> Float[Tensor, ""]:
-        """How far the sharpnesses went from the prior's mean light, and how coloured the lobes are."""
-        chroma = self.log_amplitude - self.log_amplitude.mean(-1, keepdim=True)
-        return (self.log_sharpness - self.start).square().sum() + 4.0 * chroma.square().sum()
+        """How far the sharpnesses went from where they began, and how coloured the lobes are."""
+        chroma = (self.log_amplitude - self.log_amplitude.mean(-1, keepdim=True))[self.kept]
+        return (self.log_sharpness - self.start)[self.kept].square().sum() + 4.0 * chroma.square().sum()
+
+    @torch.no_grad()
+    def put(self, lobes: tuple[Tensor, Tensor, Tensor], kept: Tensor) -> None:
+        """Go on from these lobes, a row for each that counts now, of which `kept` still count."""
+        rows = self.kept.clone()
+        for parameter, new in zip(self.parameters(), (lobes[0], lobes[1].log(), lobes[2].log()), strict=True):
+            parameter[rows] = new
+        self.start[rows] = self.log_sharpness[rows]
+        self.kept[rows] = kept
+
+    def state(self) -> dict[str, Tensor]:
+        """All that a fit's steps change."""
+        names = ("axis", "log_sharpness", "log_amplitude")
+        return {name: getattr(self, name) for name in names} | {"light_start": self.start, "light_kept": self.kept}
 
     @torch.no_grad()
     def scale(self, gain: float) -> None:

@@ -81,15 +81,23 @@ def needed_shadows(evidence: Evidence) -> tuple[Evidence, bool, tuple[FitDecisio
 
 
 @torch.no_grad()
-def needed_lobes(evidence: Evidence) -> tuple[Evidence, FitDecision]:
-    """The lobes that the seen surface can tell from none, and the decision."""
+def needed_lobes(evidence: Evidence, *, sought: int, merging: float) -> tuple[Evidence, FitDecision]:
+    """The lobes that the seen surface can tell from none, and the decision.
+
+    Parameters
+    ----------
+    sought : lobes that the fit began with
+    merging : what making some of them one has changed, mean sRGB-encoded radiance
+    """
     light = evidence.light(shadowed=True)
     share = light / light.sum().clamp_min(1e-12)
     keep = share >= LEAST_LOBE_SHARE
     said = f"the others give {100 * float(share[~keep].sum()):.2g} % of the light on the seen surface"
+    if len(keep) < sought:
+        said += f" or were made one with those beside them (mean change {merging:.2g} of 1, sRGB-encoded)"
     axis, sharpness, amplitude = (t[keep] for t in evidence.lobes)
     seen = None if evidence.visibility is None else evidence.visibility[:, keep]
-    decision = FitDecision("light lobes", f"{int(keep.sum())} of {len(keep)}", said)
+    decision = FitDecision("light lobes", f"{int(keep.sum())} of {sought}", said)
     return Evidence(evidence.points, (axis, sharpness, amplitude), seen), decision
 
 

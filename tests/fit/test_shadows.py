@@ -68,11 +68,14 @@ def test_without_shadows_in_the_fit_there_is_no_decision_about_them():
 def test_a_lobe_that_stands_behind_the_head_is_left_out():
     hidden = torch.ones(6, 2)
     hidden[:, 1] = 0.0
-    kept, decision = needed_lobes(evidence(hidden))
+    kept, decision = needed_lobes(evidence(hidden), sought=2, merging=0.0)
     assert decision.chosen == "1 of 2"
     assert kept.visibility.shape == (6, 1)
-    kept, decision = needed_lobes(replace(evidence(None)))
+    kept, decision = needed_lobes(replace(evidence(None)), sought=2, merging=0.0)
     assert decision.chosen == "2 of 2"
+    kept, decision = needed_lobes(replace(evidence(None)), sought=5, merging=0.0013)
+    assert decision.chosen == "2 of 5"
+    assert "0.0013" in decision.evidence
 
 
 def test_evidence_is_a_part_of_the_points_with_their_own_shares():
