@@ -144,7 +144,7 @@ class Dress:
 
 
 def is_plain(params) -> bool:
-    """Whether a head (`HeadParams`) wears no hat and no scarf, and neither afro, hanging hair nor a long beard."""
+    """Whether a head (`HeadParams`) wears no hat, no scarf and no beard, and neither afro nor hanging hair."""
     hanging = params.hair_style in ("afro", "bob", "long", "wavy")
     worn = params.dress.headwear != "none" or params.dress.garment == "scarf"
-    return not (hanging or worn or params.groom.beard == "long")
+    return not (hanging or worn or params.groom.beard != "none")

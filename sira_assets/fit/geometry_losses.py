@@ -46,6 +46,7 @@ class GeometryFitConfig:
     # Of a renderer that the prior has not trained (ShapeConfig.joint_appearance): as in training.
     rate_new_renderer: float = 1.0e-3
     colour: float = 1.0
+    colour_networks: float = 1.0
     silhouette: float = 0.5
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
@@ -192,7 +193,7 @@ class GeometryLosses:
         delta, gamma = self.model.deform(x, z_sdf)
         colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
-            "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
+            "colour": (c.colour_networks if self.networks_open else c.colour) * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
             "prior": c.prior * self.coefficients.square().sum(),
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
