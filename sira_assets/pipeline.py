@@ -119,6 +119,7 @@ def settings_for(
     levels_of_detail: int = 0,
     open_bust: bool = False,
     shadows: bool = True,
+    everything: bool = False,
     seed: int = 0,
 ) -> Settings:
     """The named presets: how accuracy is paid for with time.
@@ -131,12 +132,13 @@ def settings_for(
     levels_of_detail : further avatars, each with a quarter of the triangles and half the texels a side
     open_bust : leave off the caps where the head's box cuts the shoulders
     shadows : whether the head casts shadows on itself, in the fit, in the bake and in the render
+    everything : model lobes, highlights and shadows that the photo cannot tell from none all the same
 
     Raises
     ------
     InputError : another name.
     """
-    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, seed=seed)
+    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, everything=everything, seed=seed)
     if quality == "draft":
         g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)

@@ -120,13 +120,14 @@ def face_errors(shape: Shape, scene: Scene) -> dict[str, float]:
     return {name: summary.mean_mm for name, summary in found.items() if summary is not None}
 
 
-def picture_scores(shape: Shape, appearance, scene: Scene, **options) -> dict[str, float]:
+def picture_scores(shape: Shape, appearance, scene: Scene, *, photo=None, **options) -> dict[str, float]:
     """dB of the neural render: final (sRGB, raw); with exact maps also diffuse (linear, after one gain), specular
     (linear ks), specular_correlation, and what a constant specular would score; relit (sRGB, after one gain) where the
     scene has a relit truth.
 
     Parameters
     ----------
+    photo : linear, where it is not the scene's own
     options : of `rendered`
     """
     from sira_assets.measure.image_metrics import correlation, score_image
@@ -135,7 +136,8 @@ def picture_scores(shape: Shape, appearance, scene: Scene, **options) -> dict[st
 
     mask, folder, gt = shape.portrait.mask, scene.folder, scene.folder / "gt"
     exact = folder / "image.exr"
-    photo = read_image(exact).linear if exact.is_file() else shape.portrait.image_linear
+    if photo is None:
+        photo = read_image(exact).linear if exact.is_file() else shape.portrait.image_linear
     view = rendered(shape, appearance, shape.portrait.camera, appearance.light, **options)
     out = {"final": score_image(view.final, photo, mask).psnr_db}
     if (gt / "albedo.exr").is_file():

@@ -71,6 +71,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--levels-of-detail", type=int, default=0, metavar="N", help="N coarser avatars too, 0 to 4")
     p.add_argument("--open-bust", action="store_true", help="no caps where the head's box cuts the shoulders")
     p.add_argument("--no-shadows", dest="shadows", action="store_false", help="light without the head's cast shadows")
+    p.add_argument(
+        "--everything", action="store_true", help="keep lobes, highlights, shadows that the photo can do without"
+    )
     p.add_argument("--specular-form", choices=["color", "factor"], default="color", help="where the GLB keeps F0")
     p.add_argument("--quantize", action="store_true", help="GLB geometry as integers: half the size, 0.01 mm steps")
     p.add_argument("--jpeg", type=int, metavar="QUALITY", help="GLB colours as JPEG, 1 to 100 (default: PNG)")
@@ -136,6 +139,7 @@ def body(args: argparse.Namespace) -> int:
         levels_of_detail=args.levels_of_detail,
         open_bust=args.open_bust,
         shadows=args.shadows,
+        everything=args.everything,
         seed=args.seed,
     )
     export = ExportConfig(args.specular_form, quantise=args.quantize, jpeg_quality=args.jpeg, usd=args.usd)

@@ -5,6 +5,7 @@
   pose SCENE...       nine noisy 2D landmarks in place of the given pose
   fairness            the same heads, poses and lights in three skin tones, drawn into --out
   stability SCENE     a sound scene spoilt in every way that users' photos are
+  thrift SCENE...     what the fit leaves out, beside the truth, and what that saves and costs
   extremes SCENE      lights, lenses, sizes and masks at the ends of what a photo can be
 
 SCENE is a scene with gt/, or SCENE=TRUTH where the truth stands elsewhere; a folder of scenes stands for all of them.
@@ -36,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
         prog="measure_fit.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     what = out.add_subparsers(dest="what", required=True, metavar="WHAT")
-    for name in ("heldout", "pose", "stability", "extremes"):
+    for name in ("heldout", "pose", "thrift", "stability", "extremes"):
         one = what.add_parser(name, parents=[shared])
         one.add_argument("scenes", nargs=1 if name in ("stability", "extremes") else "+", metavar="SCENE[=TRUTH]")
         if name == "pose":
@@ -63,7 +64,7 @@ def measure(a: argparse.Namespace) -> int:
 
     from _fit_measurement import write_rows
 
-    measures = (heldout, pose, fairness, stability, extremes)
+    measures = (heldout, pose, fairness, thrift, stability, extremes)
     rows, show = {measure.__name__: measure for measure in measures}[a.what](a)
     if a.table:
         write_rows(a.table, rows)
@@ -100,6 +101,13 @@ def fairness(a: argparse.Namespace):
     a.scenes = [str(folder) for _, _, folder in drawn]
     rows = each_scene(a, measure_tone)
     return [{"head": h, "tone": t} | row for (h, t, _), row in zip(drawn, rows, strict=True)], print_fairness
+
+
+def thrift(a: argparse.Namespace):
+    """As the scene requires, and with everything."""
+    from _measure_thrift import measure_thrift, print_thrift
+
+    return each_scene(a, measure_thrift), print_thrift
 
 
 def stability(a: argparse.Namespace):

@@ -99,9 +99,12 @@ def fit_appearance(
             1.0 if c.steps_specular else 0.0,
         )
         evidence = Evidence.of(fit.points, fit.light.lobes(), fit.shares())
-        evidence, shadowed, shadow_decision = needed_shadows(evidence)
-        evidence, lobe_decision = needed_lobes(evidence, sought=len(fit.light.kept), merging=float(fit.merging))
-        head, specular_decision = needed_specular(head, evidence, float(fit.roughness))
+        shadowed, decisions = evidence.visibility is not None, ()
+        if not c.everything:
+            evidence, shadowed, of_shadows = needed_shadows(evidence)
+            evidence, of_lobes = needed_lobes(evidence, sought=len(fit.light.kept), merging=float(fit.merging))
+            head, of_specular = needed_specular(head, evidence, float(fit.roughness))
+            decisions = (of_lobes, of_specular, *of_shadows)
         lobes = evidence.lobes
         axis, sharpness, amplitude = (t.double().cpu().numpy() for t in lobes)
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)[:3, :3]
@@ -112,7 +115,7 @@ def fit_appearance(
         float(fit.roughness),
         shadowed,
         record.history,
-        (lobe_decision, specular_decision, *shadow_decision),
+        decisions,
         record.warnings,
         record.seconds,
     )

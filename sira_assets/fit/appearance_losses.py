@@ -41,6 +41,7 @@ class AppearanceFitConfig:
     drift : weight of the patches' mean refinement, see `_drift`; `drift_scale` the share of the base albedo from which
         on a patch counts as of another material, `drift_cell` its size (network units), `drift_from` the share of the
         refinement's steps after which the term sets in
+    everything : keep every lobe, highlights and shadows, whether the scene requires them or not
     merge : lobes are made one, once found, while the seen surface's mean sRGB-encoded radiance changes by no more
     roughness_every : steps between two looks for a better roughness
     """
@@ -71,6 +72,7 @@ class AppearanceFitConfig:
     shadows: bool = True
     scheduled: bool = True
     roughness_every: int = 10
+    everything: bool = False
     merge: float = 0.002
     rays: ShadowConfig = ShadowConfig()
     refinement: RefinementConfig = RefinementConfig()
@@ -140,7 +142,7 @@ class AppearanceLosses:
 
     def aim(self) -> None:
         """Turn to the light that was found: lobes that the surface cannot tell apart are made one."""
-        if self.config.merge > 0:
+        if self.config.merge > 0 and not self.config.everything:
             self._merge_lobes()
         if self.shadows is not None:
             self.shadows.aim(self.light)

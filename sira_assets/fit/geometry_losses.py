@@ -193,7 +193,9 @@ class GeometryLosses:
         delta, gamma = self.model.deform(x, z_sdf)
         colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
-            "colour": (c.colour_networks if self.networks_open else c.colour) * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
+            "colour": (c.colour_networks if self.networks_open else c.colour)
+            * ((colour - rays.rgb).abs().mean(-1) * on).sum()
+            / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
             "prior": c.prior * self.coefficients.square().sum(),
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),

@@ -196,6 +196,15 @@ def test_levels_of_detail_and_a_tolerance_are_delivered(journey, tmp_path):
     assert {"mesh_gap_max_mm", "field_evaluations"} <= {m.key for m in report.metrics}
 
 
+def test_everything_is_kept_where_that_is_asked_for():
+    settings = replace(SETTINGS, appearance=replace(APPEARANCE_FIT, everything=True))
+    found = pipeline.run(portrait(), settings, prior=ball_prior())
+    assert len(found.appearance.light.sharpness) == 4
+    assert found.appearance.decisions == ()
+    assert found.appearance.shadowed
+    assert found.appearance.head.specular_scale == 1.0
+
+
 def test_the_last_phase_covers_the_mask_and_holds_what_is_seen():
     """A mask two pixels wider than the ball that is the prior's every head."""
     from scipy import ndimage

@@ -203,6 +203,32 @@ def test_every_extreme_is_what_it_says(scene):
     assert not accepted({"sane": False, "wrong": "radiance"})["sane"]
 
 
+def test_a_scene_under_made_light_is_its_own_maps_shaded(scene):
+    from _measure_thrift import LIGHTS, drawn_lobes, relit
+
+    axis, sharpness, amplitude = drawn_lobes(40, np.random.default_rng(0))
+    assert (axis[:, 2] > 0).all()
+    flux = 2 * np.pi * amplitude / sharpness[:, None]
+    assert flux.std() < 0.1 * flux.mean()  # but for colour, which differs by 15 % at most
+    p = scene.portrait
+    plain, shiny = (relit(scene, 3, highlights, 0) for highlights in (False, True))
+    for q in (plain, shiny):
+        assert q.image_linear[~p.mask].max() == 0.0
+        assert 0.3 < np.quantile(q.image_linear[p.mask], 0.98) <= 1.0
+        assert 0.0 < q.saturated[p.mask].mean() < 0.03 or not q.saturated.any()
+    assert not np.allclose(plain.image_linear, shiny.image_linear, atol=1e-3)
+    assert {highlights for _, highlights in LIGHTS} == {True, False}
+
+
+@pytest.mark.slow
+def test_thrift_fits_twice_and_says_what_it_kept(tool, scene, capsys, tmp_path):
+    assert tool.main(["thrift", str(scene.folder), "--out", str(tmp_path), "--quiet", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert 1 <= row["lobes_kept"] <= 12
+    for name in ("required_s", "everything_s", "required_final", "everything_final", "required_diffuse"):
+        assert np.isfinite(row[name])
+
+
 @pytest.mark.slow
 def test_an_extreme_is_refused_in_words(tool, scene, capsys, monkeypatch, tmp_path):
     import _measure_extremes
