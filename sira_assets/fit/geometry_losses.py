@@ -160,7 +160,7 @@ class GeometryLosses:
         c = self.config
         z_sdf, z_r = self.codes()
         usable = self.inside.hit & self.inside.every.usable[self.inside.index]
-        chosen = self.inside.draw(c.rays, generator, usable.float())
+        chosen = self.inside.draw(c.rays // 2 if self.covering else c.rays, generator, usable.float())
         rays = self.inside.drawn(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)
         x0 = origins + self.inside.t[chosen, None] * directions

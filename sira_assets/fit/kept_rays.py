@@ -14,6 +14,10 @@ from sira_assets.fit.pose import PoseCorrection, corrected
 from sira_assets.render.tracing import TraceConfig, sphere_trace
 
 
+# Rays that are traced to see where the silhouette is wrong: some seconds of processor time.
+MOST_ATTENDED = 80_000
+
+
 class KeptRays:
     """Some of a photo's rays, with the hit that each had last; `index`, `t` and `hit` change in place.
 
@@ -52,9 +56,11 @@ class KeptRays:
     def attend(
         self, attention: float, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, config=TraceConfig()
     ) -> None:
-        """Trace every ray, and follow those on the wrong side of the silhouette `attention` times as often."""
+        """Trace all rays (of very many every so many) and follow those on the wrong side of the silhouette `attention`
+        times as often from then on."""
+        step = -(-len(self.every) // MOST_ATTENDED)
         low, high = (self.t.new_tensor(b / UNIT_M) for b in BOUNDS_M)
-        for part in torch.arange(len(self.every), device=self.t.device).split(CHUNK):
+        for part in torch.arange(0, len(self.every), step, device=self.t.device).split(CHUNK):
             rays = self.every.select(part)
             with torch.no_grad():
                 origins, directions = corrected(pose, rays.origins, rays.directions)
