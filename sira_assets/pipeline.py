@@ -140,7 +140,8 @@ def settings_for(
     """
     g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, everything=everything, seed=seed)
     if quality == "draft":
-        g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, rays=600, band_rays=250)
+        g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, steps_cover=20)
+        g = replace(g, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
         density, triangles, cell, samples = 0.5, 15000, 0.003, 1
     elif quality == "standard":

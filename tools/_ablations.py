@@ -49,7 +49,8 @@ class Ablation:
 def _codes_only(settings: Settings) -> Settings:
     """As many steps, none of them on the networks."""
     g = settings.geometry
-    return replace(settings, geometry=replace(g, steps_codes=g.steps_codes + g.steps_networks, steps_networks=0))
+    steps = g.steps_codes + g.steps_networks + g.steps_cover
+    return replace(settings, geometry=replace(g, steps_codes=steps, steps_networks=0, steps_cover=0))
 
 
 def _at_once(settings: Settings) -> Settings:

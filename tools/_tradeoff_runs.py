@@ -115,7 +115,7 @@ def tiny():
     from sira_assets.pipeline import settings_for
 
     s = settings_for("draft", texture_size=64, max_triangles=2000)
-    few = {"steps_appearance": 2, "steps_codes": 4, "steps_networks": 2, "rays": 64, "band_rays": 32}
+    few = {"steps_appearance": 2, "steps_codes": 4, "steps_networks": 2, "steps_cover": 1, "rays": 64, "band_rays": 32}
     g = replace(s.geometry, **few, pool=200, band_pool=100)
     few = {"steps_light": 2, "steps_albedo": 2, "steps_specular": 2, "steps_refinement": 2}
     rays = replace(s.appearance.rays, early=64, aimed=64)

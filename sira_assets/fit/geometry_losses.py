@@ -30,10 +30,10 @@ class GeometryFitConfig:
     `retrace` steps.
     """
 
-    steps_appearance: int = 80
+    steps_appearance: int = 300
     steps_codes: int = 200
     steps_networks: int = 320
-    steps_cover: int = 0
+    steps_cover: int = 100
     pool: int = 6000
     band_pool: int = 2500
     rays: int = 1000
@@ -46,7 +46,6 @@ class GeometryFitConfig:
     # Of a renderer that the prior has not trained (ShapeConfig.joint_appearance): as in training.
     rate_new_renderer: float = 1.0e-3
     colour: float = 1.0
-    colour_networks: float = 1.0
     silhouette: float = 0.5
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
@@ -193,9 +192,7 @@ class GeometryLosses:
         delta, gamma = self.model.deform(x, z_sdf)
         colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
         losses = {
-            "colour": (c.colour_networks if self.networks_open else c.colour)
-            * ((colour - rays.rgb).abs().mean(-1) * on).sum()
-            / on.sum().clamp_min(1.0),
+            "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
             "prior": c.prior * self.coefficients.square().sum(),
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),

@@ -13,7 +13,6 @@ from sira_assets.fit.pixels import PixelRays
 from sira_assets.fit.pose import PoseCorrection, corrected
 from sira_assets.render.tracing import TraceConfig, sphere_trace
 
-
 # Rays that are traced to see where the silhouette is wrong: some seconds of processor time.
 MOST_ATTENDED = 80_000
 

@@ -39,12 +39,12 @@ class Knob:
 
 def _geometry_steps(settings: Settings) -> float:
     g = settings.geometry
-    steps = lambda c: c.steps_appearance + c.steps_codes + c.steps_networks  # noqa: E731
+    steps = lambda c: c.steps_appearance + c.steps_codes + c.steps_networks + c.steps_cover  # noqa: E731
     return steps(g) / steps(GEOMETRY)
 
 
 def _put_geometry_steps(settings: Settings, factor: Value) -> Settings:
-    names = ("steps_appearance", "steps_codes", "steps_networks")
+    names = ("steps_appearance", "steps_codes", "steps_networks", "steps_cover")
     steps = {n: max(1, round(factor * getattr(GEOMETRY, n))) for n in names}
     return replace(settings, geometry=replace(settings.geometry, **steps))
 

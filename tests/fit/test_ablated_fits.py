@@ -37,7 +37,7 @@ def changed(before, after) -> bool:
 @pytest.mark.parametrize("steps", [0, 4])
 def test_without_a_reference_phase_b_frees_every_weight_and_phase_a_none(steps):
     prior = ball_prior(WITHOUT_REFERENCE)
-    fit = fit_geometry(portrait(), prior, replace(GEOMETRY, steps_networks=steps))
+    fit = fit_geometry(portrait(), prior, replace(GEOMETRY, steps_networks=steps, steps_cover=0))
     assert changed(prior.shape.deformation, fit.shape.deformation) == (steps > 0)
     assert fit.shape.reference is None
     assert all(np.isfinite(list(losses.values())).all() for _, losses in fit.history)
@@ -45,7 +45,7 @@ def test_without_a_reference_phase_b_frees_every_weight_and_phase_a_none(steps):
 
 
 def test_an_untrained_renderer_learns_from_the_first_step_and_a_trained_one_later():
-    only_codes = replace(GEOMETRY, steps_networks=0)
+    only_codes = replace(GEOMETRY, steps_networks=0, steps_cover=0)
     for joint in (True, False):
         prior = ball_prior(replace(SHAPE, joint_appearance=joint))
         fit = fit_geometry(portrait(), prior, only_codes)

@@ -22,7 +22,14 @@ from sira_assets.texture.bake import BakeConfig
 from sira_assets.texture.unwrap import UnwrapConfig
 
 GEOMETRY = GeometryFitConfig(
-    steps_appearance=4, steps_codes=6, steps_networks=4, pool=300, band_pool=100, rays=60, band_rays=40
+    steps_appearance=4,
+    steps_codes=6,
+    steps_networks=4,
+    steps_cover=2,
+    pool=300,
+    band_pool=100,
+    rays=60,
+    band_rays=40,
 )
 APPEARANCE_FIT = AppearanceFitConfig(
     steps_light=4,

@@ -17,7 +17,15 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 def tiny_settings(quality="draft", *, seed=0, **ignored) -> Settings:
     """In place of `settings_for`."""
     geometry = GeometryFitConfig(
-        steps_appearance=3, steps_codes=3, steps_networks=3, pool=200, band_pool=80, rays=50, band_rays=30, seed=seed
+        steps_appearance=3,
+        steps_codes=3,
+        steps_networks=3,
+        steps_cover=2,
+        pool=200,
+        band_pool=80,
+        rays=50,
+        band_rays=30,
+        seed=seed,
     )
     appearance = AppearanceFitConfig(
         steps_light=3, steps_albedo=3, steps_specular=3, steps_refinement=3, pixels=100, shadows=False, seed=seed

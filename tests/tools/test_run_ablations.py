@@ -42,7 +42,8 @@ def test_each_row_changes_what_it_says_and_keeps_the_steps(monkeypatch):
     from _ablations import ABLATIONS
 
     rows = {row.name: row.settings(seed=3) for row in ABLATIONS}
-    geometry = lambda s: s.geometry.steps_appearance + s.geometry.steps_codes + s.geometry.steps_networks  # noqa: E731
+    shape_steps = ("steps_appearance", "steps_codes", "steps_networks", "steps_cover")
+    geometry = lambda s: sum(getattr(s.geometry, name) for name in shape_steps)  # noqa: E731
     steps = ("steps_light", "steps_albedo", "steps_specular", "steps_refinement")
     appearance = lambda s: sum(getattr(s.appearance, name) for name in steps)  # noqa: E731
     assert len({geometry(s) for s in rows.values()}) == 1
