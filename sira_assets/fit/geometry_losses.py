@@ -30,7 +30,7 @@ class GeometryFitConfig:
     `retrace` steps.
     """
 
-    steps_appearance: int = 300
+    steps_appearance: int = 80
     steps_codes: int = 200
     steps_networks: int = 320
     steps_cover: int = 100
