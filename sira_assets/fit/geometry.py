@@ -1,4 +1,4 @@
-"""Single-view geometry (SIRA section 3.3, first step): phase A finds the codes, phase B frees the networks.
+"""Single-view geometry (SIRA section 3.3, first step): A finds the codes, B frees the networks, C covers the mask.
 
 Notation: as in fields/sa_sm.py and render/tracing.py; c coefficients of the codes' gaussians (sigma units), so |c|^2 is
 the prior's energy. The reference signed distance is never changed: it is what all heads share.

@@ -81,7 +81,7 @@ class GeometryLosses:
         self.config, self.prior, self.inside, self.edge, self.refine_pose = config, prior, inside, edge, refine_pose
         self.model = copy.deepcopy(prior.shape)
         freeze(self.model)
-        # Phase A's end, from which phase B should not stray.
+        # The end of the phase before, from which phases B and C should not stray.
         self.before = copy.deepcopy(self.model)
         self.before_z = prior.z_sdf.mean.clone()
         self.networks_open = self.covering = False
@@ -134,13 +134,14 @@ class GeometryLosses:
         self.edge.attend(self.config.attention, self.model, self.codes()[0], self.pose, self.config.trace)
 
     def open_cover(self) -> None:
-        """Let gradients reach the deformation alone."""
-        self.open_networks()
-        self.covering = True
+        """Let gradients reach the deformation; the colours have had their say."""
+        self.networks_open = self.covering = True
+        for parameter in self.model.deformation.parameters():
+            parameter.requires_grad_(True)
 
     @torch.no_grad()
     def remember(self) -> None:
-        """Take the present state as phase A's end."""
+        """Take the present state as what the phase that begins should keep."""
         self.before.load_state_dict(self.model.state_dict())
         self.before_z.copy_(self.codes()[0])
 

@@ -55,7 +55,7 @@ def refine_mesh(
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     tested = np.empty(0, np.int64)  # keys of edges that need no split
-    todo = np.ones(len(faces), bool)
+    untested = np.ones(len(faces), bool)
     limit = _limits(field, vertices, normals, tolerance_m, device)
     off = np.flatnonzero(_far(field, vertices, limit, margin_m, device))  # vertices that are not on the zero set
     reach = np.zeros(len(vertices))
@@ -67,14 +67,14 @@ def refine_mesh(
         edges, face_edge = _edges(faces)
         keys = edge_keys(edges)
         fresh = np.zeros(len(edges), bool)
-        fresh[face_edge[todo].reshape(-1)] = True
+        fresh[face_edge[untested].reshape(-1)] = True
         fresh &= ~np.isin(keys, tested)
         middle = 0.5 * (vertices[edges[:, 0]] + vertices[edges[:, 1]])
         split = np.zeros(len(edges), bool)
         split[fresh] = _far(field, middle[fresh], limit[edges[fresh]].min(1), margin_m, device)
         tested = np.union1d(tested, keys[fresh & ~split])
         # A face whose edges are all good may still bulge between them.
-        whole = np.flatnonzero(todo & ~split[face_edge].any(1))
+        whole = np.flatnonzero(untested & ~split[face_edge].any(1))
         own = faces[whole]
         bulging = whole[_far(field, vertices[own].mean(1), limit[own].min(1), margin_m, device)]
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -98,7 +98,7 @@ def refine_mesh(
         number = np.full(len(edges), -1)
         number[split] = len(vertices) + np.arange(len(mean))
         vertices = np.concatenate([vertices, middle[split]])
-        faces, todo = _split_faces(faces, number[face_edge], vertices)
+        faces, untested = _split_faces(faces, number[face_edge], vertices)
         # No point goes further than half its edge, or it would pass its neighbours. Points that are not on the zero set
         # yet, for a face would have turned over, try again beside smaller faces.
         reach = np.concatenate([reach, 0.5 * length[split]])
@@ -108,7 +108,7 @@ def refine_mesh(
         vertices, normals = _settle(field, flat, off, reach[off], device)
         limit[off] = _limits(field, vertices[off], normals[off], tolerance_m, device)
         off = off[_far(field, vertices[off], limit[off], margin_m, device)]
-        todo |= np.isin(faces, off).any(1)
+        untested |= np.isin(faces, off).any(1)
     return TriangleMesh(vertices, faces, normals)
 
 
