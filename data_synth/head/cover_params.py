@@ -144,7 +144,10 @@ class Dress:
 
 
 def is_plain(params) -> bool:
-    """Whether a head (`HeadParams`) wears no hat, no scarf and no beard, and neither afro nor hanging hair."""
-    hanging = params.hair_style in ("afro", "bob", "long", "wavy")
+    """Whether a head (`HeadParams`) wears no hat, no scarf and no beard, and no hair that is a shape of its own.
+
+    Such hair is an afro, hair that hangs, hair tied behind the head, and a fringe over the forehead.
+    """
+    apart = params.hair_style in ("afro", "bob", "long", "wavy", "ponytail", "bun", "fringe")
     worn = params.dress.headwear != "none" or params.dress.garment == "scarf"
-    return not (hanging or worn or params.groom.beard != "none")
+    return not (apart or worn or params.groom.beard != "none")
