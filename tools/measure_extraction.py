@@ -126,6 +126,7 @@ def sparse(field, resolution: int) -> dict:
     import torch
 
     from sira_assets.fields.head_field import BOUNDS_M
+    from sira_assets.mesh.clean import clean_mesh
     from sira_assets.mesh.extract import ExtractConfig, extract_with_report
     from sira_assets.mesh.topology import topology
 
@@ -133,7 +134,7 @@ def sparse(field, resolution: int) -> dict:
     wall, cpu = time.perf_counter(), time.process_time()
     mesh, report = extract_with_report(field, ExtractConfig(cell_m=cell))
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    shape = topology(mesh)
+    shape, exported = topology(mesh), topology(clean_mesh(mesh))
     return {
         "cell_mm": 1e3 * cell,
         "evaluations": report.evaluations,
@@ -148,6 +149,8 @@ def sparse(field, resolution: int) -> dict:
         "pieces": shape.pieces,
         "genus": shape.genus,
         "zero_area_faces": shape.zero_area_faces,
+        "cleaned_pieces": exported.pieces,
+        "cleaned_genus": exported.genus,
     }
 
 

@@ -3,7 +3,8 @@
 Notation: h finest step; a cell of size s has edges of s h, s a power of two; f the field's signed distance closed by
 the head's box; L a bound on |grad f|. No point of a cell is further than s h sqrt(3)/2 from its nearest corner, so a
 cell whose corners all have |f| > L s h sqrt(3)/2 holds no surface (Galin et al. 2020 call such a tree a Lipschitz
-octree, DOI 10.1111/cgf.13951). Down to cells of two steps every cell that may hold surface is kept. The last halving
+octree, DOI 10.1111/cgf.13951). L is local: 1.5 times the steepest slope met on the coarsest lattice within one of its
+cells, so that one steep fold does not make the whole head expensive. Down to cells of two steps every cell that may hold surface is kept. The last halving
 costs most, so there only the eighths are asked through which the trilinear interpolant of the cell's corners runs;
 from these, cells are added across every face the surface leaves through, until it leaves nowhere (continuation; Wyvill
 et al. 1986, DOI 10.1007/BF01900346). Cells near no surface found so far but with small |f| are asked whole. What this
@@ -163,7 +164,7 @@ def surface_cells(
 
     Parameters
     ----------
-    lipschitz : least bound L assumed; 1.5 times the steepest slope of the coarsest lattice where that is more
+    lipschitz : least bound L assumed; more where the coarsest lattice is steep (module docstring)
     max_cells : refuse a field that may have surface in more cells than these
 
     Raises
@@ -174,17 +175,18 @@ def surface_cells(
     size = lattice.coarsest
     grid = np.stack(np.meshgrid(*(np.arange(0, n, size) for n in lattice.points), indexing="ij"), -1)
     corners = values.at(lattice.key(grid))
-    slope = max(np.abs(np.diff(corners, axis=axis)).max(initial=0.0) for axis in range(3)) / (size * lattice.step)
-    bound = max(lipschitz, 1.5 * slope)
+    slopes = _slopes(corners) / (size * lattice.step)
+    bounds = np.maximum(lipschitz, 1.5 * _around(slopes))
     cells = lattice.key(grid[:-1, :-1, :-1].reshape(-1, 3))  # keys of low corners, here and below
     while size > 1:
         at = values.at(cells[:, None] + lattice.key(CORNERS * size))
         crossing = _changes_sign(at)
+        bound = bounds[tuple((lattice.index(cells) // lattice.coarsest).T)]
         near = crossing | (np.abs(at).min(1) <= bound * size * lattice.step * np.sqrt(0.75))
         if near.sum() * (8 if size > 2 else 4) > max_cells:
             raise InputError(
                 expected=f"a surface within {max_cells} cells of {lattice.step * 1e3:g} mm",
-                received=f"{int(near.sum())} cells of {size} times that may hold surface (|grad f| up to {slope:.3g})",
+                received=f"{int(near.sum())} cells of {size} times that may hold surface (|grad f| up to {slopes.max():.3g})",
                 remedy="the field is far from a distance: fit again, or use a larger cell or tolerance",
             )
         eighths = lattice.key(CORNERS * (size // 2))
@@ -199,7 +201,26 @@ def surface_cells(
     keys = _grow(lattice, values, cells)
     unique, inverse = np.unique(keys[:, None] + lattice.key(CORNERS), return_inverse=True)
     points = lattice.position(lattice.index(unique))
-    return SurfaceCells(inverse.reshape(-1, 8), points, values.at(unique), float(slope))
+    return SurfaceCells(inverse.reshape(-1, 8), points, values.at(unique), float(slopes.max(initial=0.0)))
+
+
+def _slopes(corners: np.ndarray) -> np.ndarray:
+    """(X - 1, Y - 1, Z - 1) greatest |difference| along the edges of each cell, of values (X, Y, Z) at corners."""
+    steepest = np.zeros(np.array(corners.shape) - 1)
+    for axis in range(3):
+        edges = np.abs(np.diff(corners, axis=axis))
+        for other in {0, 1, 2} - {axis}:
+            low, high = (np.take(edges, range(i, edges.shape[other] - 1 + i), other) for i in (0, 1))
+            edges = np.maximum(low, high)
+        steepest = np.maximum(steepest, edges)
+    return steepest
+
+
+def _around(cells: np.ndarray) -> np.ndarray:
+    """The greatest value of each cell and of the 26 around it."""
+    from scipy.ndimage import maximum_filter
+
+    return maximum_filter(cells, 3, mode="nearest")
 
 
 def _changes_sign(corner_values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ import torch
 from sira_assets.errors import InputError
 from sira_assets.fields.analytic import EllipsoidHead, SphereHead
 from sira_assets.fields.head_field import BOUNDS_M
-from sira_assets.mesh.extract import ExtractConfig, extract_mesh
+from sira_assets.mesh.extract import CountedField, ExtractConfig, extract_mesh
+from sira_assets.mesh.lattice import lattice_over_box, surface_cells
 from sira_assets.mesh.topology import topology
 
 
@@ -81,6 +82,28 @@ def test_every_floater_is_found_however_small_the_gradient():
         shape = topology(extract_mesh(Field(lambda x, gain=gain: gain * two(x)), ExtractConfig(cell_m=0.004)))
         assert shape.pieces == 2
         assert shape.watertight
+
+
+def test_a_steep_fold_costs_nothing_elsewhere_and_loses_nothing():
+    """A field eight times steeper around one ear only: the same cells as with that bound everywhere, for far less."""
+    ear = torch.tensor([0.1, 0.0, -0.064])
+
+    def steep(x):
+        f = SphereHead().sdf(x)
+        return f * (1 + 7 * torch.exp(-0.5 * ((x - ear) / 0.02).square().sum(-1)))
+
+    found, asked = [], []
+    for lipschitz in (2.0, 12.0):
+        field = CountedField(Field(steep))
+        cells = surface_cells(
+            field, lattice_over_box(0.002, 0.016), lipschitz=lipschitz, zero_m=1e-6, max_cells=10_000_000
+        )
+        found.append(cells.points)
+        asked.append(field.evaluations)
+    assert cells.slope > 4
+    np.testing.assert_array_equal(*found)
+    # Twelve times the bound keeps the whole band of 0.1 m around the surface at the coarser levels.
+    assert asked[0] < 0.5 * asked[1]
 
 
 def test_a_head_cut_by_the_box_is_closed_within_it():
