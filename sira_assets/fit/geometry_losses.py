@@ -33,7 +33,7 @@ class GeometryFitConfig:
     steps_appearance: int = 80
     steps_codes: int = 200
     steps_networks: int = 320
-    steps_cover: int = 100
+    steps_cover: int = 200
     pool: int = 6000
     band_pool: int = 2500
     rays: int = 1000
@@ -45,7 +45,7 @@ class GeometryFitConfig:
     rate_networks: float = 1.5e-4
     # Of a renderer that the prior has not trained (ShapeConfig.joint_appearance): as in training.
     rate_new_renderer: float = 1.0e-3
-    colour: float = 1.0
+    colour: float = 0.5
     silhouette: float = 0.5
     # Sharpness of the soft silhouette: sigmoid(-alpha f) of the nearest point of a missed ray, per network unit.
     alpha: float = 50.0
@@ -57,7 +57,7 @@ class GeometryFitConfig:
     # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.
     attention: float = 30.0
     hold: float = 400.0
-    rate_cover: float = 1.0e-4
+    rate_cover: float = 2.0e-4
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
