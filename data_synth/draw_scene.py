@@ -30,10 +30,11 @@ FACE_RADIUS_M = 0.095  # around the nose tip, as measured regions have it
 
 
 def plain_indices(settings: SceneSettings, start: int, count: int) -> list[int]:
-    """The first `count` scenes from `start` on whose head wears nothing and no hair beside or below the face.
+    """The first `count` scenes from `start` on whose head is plain (`is_plain`).
 
-    Hats, scarves, beards and hanging hair are shapes of their own beside the head: a shape model with one reference
-    learns heads better without them, and its mean is a face, not a face with a quarter of a beard.
+    Hats, scarves, beards, and hair that stands off, hangs, is tied or covers the forehead are shapes of their own: a
+    shape model with one reference learns heads better without them, and its mean is a face, not a face with a quarter
+    of a beard.
 
     Raises
     ------

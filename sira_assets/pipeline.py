@@ -147,7 +147,7 @@ def settings_for(
     elif quality == "standard":
         density, triangles, cell, samples = 1.0, 30000, 0.002, 2
     elif quality == "high":
-        g = replace(g, steps_codes=400, steps_networks=320, rays=2000, band_rays=600)
+        g = replace(g, steps_codes=400, rays=2000, band_rays=600)
         a = replace(a, steps_refinement=1500, pixels=6000, max_surface=400000)
         density, triangles, cell, samples = 2.0, 60000, 0.0015, 3
     else:

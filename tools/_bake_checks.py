@@ -12,6 +12,7 @@ import torch
 from sira_assets.fields.head_field import HeadField
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.texture.atlas import Atlas
+from sira_assets.texture.seams import seam_edges
 
 WAVE_M, CUBE_M = 0.1, 0.01
 _WAVE = torch.nn.functional.normalize(torch.tensor([1.0, 2.0, -1.5]), dim=0)
@@ -65,19 +66,8 @@ def holding(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 def seam_points(mesh: TriangleMesh, atlas: Atlas, per_edge: int = 5) -> tuple[np.ndarray, np.ndarray]:
     """uv (N, 2) of the same points on both sides of every seam."""
-    corner = [0, 1, 1, 2, 2, 0]
-    edges, edges_uv = (f[:, corner].reshape(-1, 2) for f in (mesh.faces, atlas.faces_uv))
-    turned = edges[:, 0] > edges[:, 1]
-    edges, edges_uv = (np.where(turned[:, None], e[:, ::-1], e) for e in (edges, edges_uv))
-    key = (edges[:, 0] << 32) | edges[:, 1]
-    order = np.argsort(key, kind="stable")
-    one, other = order[:-1], order[1:]
-    seam = (key[one] == key[other]) & (edges_uv[one] != edges_uv[other]).any(1)
     t = ((np.arange(per_edge) + 0.5) / per_edge)[None, :, None]
-    sides = []
-    for side in (one[seam], other[seam]):
-        a, b = (atlas.uv[edges_uv[side, k]][:, None] for k in range(2))
-        sides.append((a + t * (b - a)).reshape(-1, 2))
+    sides = [(a[:, :1] + t * (a[:, 1:] - a[:, :1])).reshape(-1, 2) for a in seam_edges(mesh, atlas)]
     return sides[0], sides[1]
 
 

@@ -67,13 +67,13 @@ def promise_runs(promises: Sequence[str], scenes: Sequence[Path], out: Path) -> 
             if file.is_file():
                 yield Kept(**json.loads(file.read_text(encoding="utf-8"))), True
                 continue
-            kept = promised(promise, path, scene)
+            kept = promised(promise, path, scene, out / "figures.json")
             write_text(file, json.dumps(asdict(kept), indent=1) + "\n")
             yield kept, False
 
 
-def promised(promise: str, path: Path, scene) -> Kept:
-    """Run the command and measure what it wrote."""
+def promised(promise: str, path: Path, scene, figures: Path) -> Kept:
+    """Run the command, planned with these figures if they are there, and measure what it wrote."""
     from sira_assets.measure.truth import read_mesh
 
     tool = Path(__file__).with_name("export_avatar.py")
@@ -82,6 +82,8 @@ def promised(promise: str, path: Path, scene) -> Kept:
     with tempfile.TemporaryDirectory(prefix="sira-promise-") as there:
         target = Path(there) / "avatar"
         command = [sys.executable, str(tool), str(path), option, promise, "--out", str(target), "--json"]
+        if option == "--budget" and figures.is_file():
+            command += ["--figures", str(figures)]
         package = str(Path(sira_assets.__file__).resolve().parents[1])
         parts = os.pathsep.join(p for p in (package, os.environ.get("PYTHONPATH")) if p)
         began = time.monotonic()

@@ -79,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--jpeg", type=int, metavar="QUALITY", help="GLB colours as JPEG, 1 to 100 (default: PNG)")
     p.add_argument("--usd", action="store_true", help="write avatar.usdc and .usdz too (extra usd)")
     p.add_argument("--prior", type=Path, help="trained models (default: the ones that ship with the package)")
-    p.add_argument("--resume", action="store_true", help="go on from the last finished fit of a stopped run")
+    p.add_argument("--resume", action="store_true", help="go on where a stopped run was, inside a fit too")
     p.add_argument("--overwrite", action="store_true", help="replace what --out holds")
     p.add_argument("--json", action="store_true", help="print report.json")
     p.add_argument("--quiet", action="store_true", help="no progress bar")

@@ -38,7 +38,11 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="light every scene by one of these .exr or .hdr lat-long panoramas, turned about the vertical at random",
     )
-    out.add_argument("--plain", action="store_true", help="pass over heads with hats, scarves, beards, and hair that hangs, is tied or covers the forehead")
+    out.add_argument(
+        "--plain",
+        action="store_true",
+        help="pass over heads with hats, scarves, beards, afros, and hair that hangs, is tied or hides the forehead",
+    )
     out.add_argument(
         "--crops", type=float, default=0.0, metavar="SHARE", help="of scenes that cut the head (default 0)"
     )

@@ -24,8 +24,6 @@ from importlib import resources
 import torch
 from torch import Tensor
 
-MILLIMETRE = 1e-3
-
 
 @dataclass(frozen=True)
 class Primitives:

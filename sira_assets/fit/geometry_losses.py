@@ -51,7 +51,7 @@ class GeometryFitConfig:
     alpha: float = 50.0
     reach: float = 0.1
     reach_networks: float = 0.8
-    # In phase B a pixel of the mask without surface costs this much more than surface outside the mask: it would stay
+    # In phases B and C a pixel of the mask without surface costs this much more than surface outside it: it would stay
     # a hole in the render.
     cover: float = 8.0
     # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.
@@ -61,7 +61,7 @@ class GeometryFitConfig:
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
-    # Phase B stays near phase A: squared change of the deformation over the surface and around it.
+    # Phase B stays near phase A (C near B, by `hold`): squared change of the deformation over and around the surface.
     anchor: float = 4.0
     slope: float = 0.1
     pose: float = 2.0e-3
@@ -229,7 +229,7 @@ class GeometryLosses:
         return 10.0 * chance.mean() * (weight * robust).sum() / max(len(chosen), 1)
 
     def _anchor(self, x: Tensor, z_sdf: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """How far, squared, and how unevenly the deformation changed since phase A, on the seen surface and around it.
+        """How far, squared, and how unevenly the deformation changed since the phase before, where seen and around it.
 
         The second term is the squared slope of the change: it lets features move and keeps spikes (an ear drawn out
         into hair) from growing.

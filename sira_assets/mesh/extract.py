@@ -33,8 +33,8 @@ class ExtractConfig:
     tolerance_mm : greatest distance of the surface from the zero set, mm; it decides the cell then (`cell_for`), and
         triangles are split where the cell alone leaves more. None: the cell decides.
     coarsest_m : coarsest cell of the search, metres
-    lipschitz : least bound assumed on |grad f|; 2 is safe for a field trained to |grad f| = 1 (its steepest parts
-        reach about 1.3)
+    lipschitz : least bound assumed on |grad f|; more is taken where the coarsest lattice is steep (mesh/lattice.py).
+        The shipped models reach 1.6 between points of that lattice, 2.2 at single points
     zero_m : |f| below this at a lattice point becomes +zero_m: exact zeros there make faces of no area and an open mesh
     polish : move the vertices onto the zero set, which takes their error from O(h^2) to rounding
     max_cells : refuse to go beyond this many finest cells (a field that is not a distance fills the box)

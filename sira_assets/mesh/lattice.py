@@ -4,12 +4,12 @@ Notation: h finest step; a cell of size s has edges of s h, s a power of two; f 
 the head's box; L a bound on |grad f|. No point of a cell is further than s h sqrt(3)/2 from its nearest corner, so a
 cell whose corners all have |f| > L s h sqrt(3)/2 holds no surface (Galin et al. 2020 call such a tree a Lipschitz
 octree, DOI 10.1111/cgf.13951). L is local: 1.5 times the steepest slope met on the coarsest lattice within one of its
-cells, so that one steep fold does not make the whole head expensive. Down to cells of two steps every cell that may hold surface is kept. The last halving
-costs most, so there only the eighths are asked through which the trilinear interpolant of the cell's corners runs;
-from these, cells are added across every face the surface leaves through, until it leaves nowhere (continuation; Wyvill
-et al. 1986, DOI 10.1007/BF01900346). Cells near no surface found so far but with small |f| are asked whole. What this
-can miss is a closed piece of its own smaller than two steps' lattice sees, within four steps of other surface: a
-floater, cleaned away anyhow.
+cells, so that one steep fold does not make the whole head expensive. Down to cells of two steps every cell that may
+hold surface is kept. The last halving costs most, so there only the eighths are asked through which the trilinear
+interpolant of the cell's corners runs; from these, cells are added across every face the surface leaves through,
+until it leaves nowhere (continuation; Wyvill et al. 1986, DOI 10.1007/BF01900346). Cells near no surface found so far
+but with small |f| are asked whole. What this can miss is a closed piece of its own smaller than two steps' lattice
+sees, within four steps of other surface: a floater, cleaned away anyhow.
 """
 
 from dataclasses import dataclass
@@ -186,7 +186,8 @@ def surface_cells(
         if near.sum() * (8 if size > 2 else 4) > max_cells:
             raise InputError(
                 expected=f"a surface within {max_cells} cells of {lattice.step * 1e3:g} mm",
-                received=f"{int(near.sum())} cells of {size} times that may hold surface (|grad f| up to {slopes.max():.3g})",
+                received=f"{int(near.sum())} cells of {size} times that may hold surface "
+                f"(|grad f| up to {slopes.max():.3g})",
                 remedy="the field is far from a distance: fit again, or use a larger cell or tolerance",
             )
         eighths = lattice.key(CORNERS * (size // 2))

@@ -16,7 +16,6 @@ from torch import Tensor
 from sira_assets.numerics.exponential import even2, odd1, phi1
 from sira_assets.numerics.precision import narrow, widen
 
-COUNT = 9
 _BAND = (0, 1, 1, 1, 2, 2, 2, 2, 2)
 _CONSTANT = math.sqrt(1.0 / (4.0 * math.pi))
 _LINEAR = math.sqrt(3.0 / (4.0 * math.pi))

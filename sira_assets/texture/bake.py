@@ -6,6 +6,8 @@ field's detail and not the triangles'. Normals are not supersampled: it costs fo
 field's normals hardly turn within a texel of half a millimetre, while albedos have edges.
 Texels at the border of a chart, and those one beyond it, take their samples from the plane of the nearest face, moved
 onto the zero set as well: there stands what the surface shows beyond the seam, so both sides of a seam read the same.
+Where they do not all the same (folds), `seams.even_seams` moves the texels there; tangent-space normals are relative to
+each side's own tangents, and positions are exact, so these two are left.
 Everything is in the canonical frame.
 """
 
@@ -24,6 +26,7 @@ from sira_assets.scene.sg_light import SGLight
 from sira_assets.texture.atlas import Atlas, vertex_of_uv
 from sira_assets.texture.light_maps import light_maps
 from sira_assets.texture.raster import border_texels, rasterise
+from sira_assets.texture.seams import Seams, even_seams, find_seams
 from sira_assets.texture.tangents import tangents, to_tangent_space
 from sira_assets.texture.texture_set import DEFAULT_MAPS, TextureSet, check_maps
 
@@ -135,18 +138,20 @@ def bake(
     rows = config.rows_per_chunk or max(1, _SAMPLES_AT_ONCE // (size * config.samples**2))
     for first in range(0, size, rows):
         last = min(first + rows, size)
-        samples, coverage[first:last] = _band_samples(atlas, corners, config, first, last)
+        samples, coverage[first:last] = _band_samples(atlas, config, first, last)
         if len(samples.face):
             bands.append(_bake_band(field, corners, samples, config, device))
     if not coverage.any():
         raise InputError(expected="an atlas that covers some texels", received="none", remedy="unwrap again")
     found = _joined(bands)
-    return _maps(found, coverage, light, world_from_canonical, config, shadows, surface or mesh_canonical)
+    seams = find_seams(mesh_canonical, atlas, size)
+    return _maps(found, coverage, seams, light, world_from_canonical, config, shadows, surface or mesh_canonical)
 
 
 def _maps(
     found: _Texels,
     coverage: np.ndarray,
+    seams: Seams,
     light: SGLight,
     world_from_canonical: np.ndarray,
     config: BakeConfig,
@@ -158,7 +163,10 @@ def _maps(
     nearest = _nearest_filled(found.number, size)
 
     def picture(values: np.ndarray, name: str) -> np.ndarray | None:
-        return np.ascontiguousarray(values.astype(np.float32)[nearest]) if name in wanted else None
+        if name not in wanted:
+            return None
+        filled = np.ascontiguousarray(values.astype(np.float32)[nearest])
+        return filled if name in ("normal", "position") else even_seams(filled, seams)
 
     linear = np.asarray(world_from_canonical, np.float64)[:3, :3]
     turned = light.rotated((linear / np.cbrt(np.linalg.det(linear))).T)
@@ -201,9 +209,7 @@ def _corner_frames(mesh: TriangleMesh, atlas: Atlas, size: int) -> _Surface:
     return _Surface(positions, mesh.normals[mesh.faces], frame[..., :3], frame[:, 0, 3], float(texel))
 
 
-def _band_samples(
-    atlas: Atlas, surface: _Surface, config: BakeConfig, first: int, last: int
-) -> tuple[_Samples, np.ndarray]:
+def _band_samples(atlas: Atlas, config: BakeConfig, first: int, last: int) -> tuple[_Samples, np.ndarray]:
     """All samples of texel rows `first` to `last`, and (rows, S) which of the texels a face touches."""
     size, k = config.size, config.samples
     held = rasterise(atlas.uv, atlas.faces_uv, size, samples=k, first_row=first, last_row=last)
