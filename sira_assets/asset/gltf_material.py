@@ -55,7 +55,10 @@ def gltf_material(avatar: Avatar, file: GlbFile, config: ExportConfig) -> dict:
 def _colour_form(specular_f0: np.ndarray, used: np.ndarray, file: GlbFile, config: ExportConfig) -> dict:
     """F0 as a colour; the factor may pass 1, so S / 0.04 there keeps the texture within 8 bits whatever S."""
     largest = _largest(specular_f0, used)
-    codes = encode_srgb(specular_f0 / largest) if largest > 0 else np.zeros(used.shape, np.uint8)
+    if largest <= 0:
+        # A colour of 0 would leave the reflection at grazing angles.
+        return {"specularFactor": 0.0}
+    codes = encode_srgb(specular_f0 / largest)
     if _constant(codes, used):
         return {"specularColorFactor": [_mean(specular_f0, used) / F0_OF_IOR_1_5] * 3}
     said = "F0 / (0.04 specularColorFactor), sRGB encoded"

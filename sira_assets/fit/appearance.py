@@ -20,7 +20,7 @@ from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.loop import Checkpoint, Stage, run_stages
 from sira_assets.fit.pace import Pace
 from sira_assets.fit.pixels import require_pixels
-from sira_assets.fit.required import Evidence, needed_lobes, needed_shadows, needed_specular
+from sira_assets.fit.required import Evidence, needed_highlights, needed_lobes, needed_shadows
 from sira_assets.fit.seen_surface import SurfacePoints, hidden_surface, visible_surface
 from sira_assets.fit.shadows import FitShadows
 from sira_assets.mesh.raycast import Raycaster
@@ -96,15 +96,16 @@ def fit_appearance(
             prior.z_a.code(fit.z_a).detach(),
             prior.z_s.code(fit.z_s).detach(),
             fit.refinement if c.steps_refinement and c.scheduled else None,
-            1.0 if c.steps_specular else 0.0,
+            float(fit.highlights) if c.steps_specular else 0.0,
         )
         evidence = Evidence.of(fit.points, fit.light.lobes(), fit.shares())
         shadowed, decisions = evidence.visibility is not None, ()
         if not c.everything:
             evidence, shadowed, of_shadows = needed_shadows(evidence)
             evidence, of_lobes = needed_lobes(evidence, sought=len(fit.light.kept), merging=float(fit.merging))
-            head, of_specular = needed_specular(head, evidence, float(fit.roughness))
-            decisions = (of_lobes, of_specular, *of_shadows)
+            errors = {"plain": float(fit.plain_error), "shiny": float(fit.shiny_error)}
+            of_highlights = needed_highlights(head.specular_scale, **errors)
+            decisions = (of_lobes, of_highlights, *of_shadows)
         lobes = evidence.lobes
         axis, sharpness, amplitude = (t.double().cpu().numpy() for t in lobes)
     world_from_canonical = np.linalg.inv(geometry.canonical_from_world)[:3, :3]
@@ -150,7 +151,18 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
 
         if aimed_at is None:
             return Stage(name, steps, groups, losses, enter=fit.enter_early, before_step=look)
-        return Stage(name, steps, groups, losses, fit.aim, lambda: fit.enter_aimed(aimed_at), look)
+
+        def begin() -> None:
+            if refine and c.steps_specular:
+                fit.decide_highlights()
+            fit.aim()
+
+        def enter() -> None:
+            fit.enter_aimed(aimed_at)
+            if not refine:
+                fit.remember_plain()
+
+        return Stage(name, steps, groups, losses, begin, enter, look)
 
     slow = 0.3 * c.rate_light
     codes = [fit.z_a, fit.z_s]
@@ -161,7 +173,7 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
         groups = [(light, c.rate_light), (codes, c.rate_codes), (decoders, c.rate_refinement)]
         return [stage("all at once", steps, groups, lambda step: 1.0)]
     ramp = lambda step: (step + 1) / c.steps_specular  # noqa: E731
-    k_s = lambda step: 1.0 if c.steps_specular else 0.0  # noqa: E731
+    k_s = lambda step: float(fit.highlights) if c.steps_specular else 0.0  # noqa: E731
     return [
         stage("light", c.steps_light, [(light, c.rate_light)]),
         stage("albedo", c.steps_albedo, [(light, c.rate_light), ([fit.z_a], c.rate_codes)]),

@@ -7,6 +7,7 @@ and in highlights, so that neither is baked into the albedo.
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -85,6 +86,8 @@ SLOPE_AT_WHITE = 1.055 / 2.4
 ROUGHNESS_STEP = 0.02
 ROUGHNESS_RANGE = (0.3, 0.7)
 ROUGHNESS_POINTS = 4000
+# Highlights that lower the mean error by a smaller share than this are left out.
+LEAST_HIGHLIGHT_GAIN = 0.02
 # Points that decide which lobes are made one.
 MERGED_POINTS = 1500
 # A channel of a clipped pixel counts as clipped from here, an 8-bit step below white.
@@ -117,6 +120,10 @@ class AppearanceLosses:
         self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
         self.z_s = nn.Parameter(torch.zeros(prior.z_s.basis.shape[1], device=device))
         self.roughness = torch.tensor(ROUGHNESS, dtype=torch.float64)
+        # Mean errors without and with highlights once each was fitted, and whether they are needed.
+        self.plain_error, self.shiny_error = (torch.tensor(0.0, dtype=torch.float64) for _ in range(2))
+        self.highlights = torch.tensor(1.0)
+        self.plain = [tensor.detach().clone() for tensor in self._fitted()]
         # What making lobes one has changed so far.
         self.merging = torch.tensor(0.0, dtype=torch.float64)
         feature_size = surface.gamma.shape[-1]
@@ -129,7 +136,9 @@ class AppearanceLosses:
     def state(self) -> dict[str, Tensor]:
         """All that the fit's steps change."""
         own = self.light.state() | {"z_a": self.z_a, "z_s": self.z_s}
-        own |= {"roughness": self.roughness, "merging": self.merging}
+        own |= {"roughness": self.roughness, "merging": self.merging, "highlights": self.highlights}
+        own |= {"plain_error": self.plain_error, "shiny_error": self.shiny_error}
+        own |= {f"plain.{i}": tensor for i, tensor in enumerate(self.plain)}
         own |= {f"refinement.{key}": value for key, value in self.refinement.state_dict().items()}
         if not self.config.scheduled:
             own |= {f"model.{key}": value for key, value in self.model.state_dict().items()}
@@ -188,7 +197,9 @@ class AppearanceLosses:
             base = base.detach()
             extra = self.refinement(points.x_ref, points.gamma)
             albedo = (base + extra).clamp(1e-4, 1.0)
-        f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
+        f0 = torch.zeros_like(albedo[:, 0]).detach()
+        if k_s > 0:
+            f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
         lobes = self.light.lobes()
         if self.table is None:
             seen = None
@@ -200,21 +211,22 @@ class AppearanceLosses:
             points.normals,
             points.view,
             albedo,
-            k_s * f0,
+            f0,
             *lobes,
             roughness=roughness,
             visibility=seen,
             grade=c.grade,
         )
+        radiance = shading.diffuse_radiance + k_s * shading.specular_radiance
         losses = {
-            "colour": colour_error(shading.radiance, points),
+            "colour": colour_error(radiance, points),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
             "light_prior": c.light_prior * self.light.energy(),
         }
         if refine:
             diffuse_base = base * shading.irradiance.detach() / math.pi
             weight = c.shadow * (base.sum(-1) - diffuse_base.sum(-1)).clamp_min(0.0)
-            weight = weight + c.highlight * shading.specular_radiance.detach().sum(-1)
+            weight = weight + c.highlight * k_s * shading.specular_radiance.detach().sum(-1)
             losses["regularity"] = c.regularity * (extra.abs().sum(-1) * weight).mean()
             pick = torch.randint(len(self.hidden[0]), (512,), generator=generator, device=device)
             unseen = self.refinement(self.hidden[0][pick], self.hidden[1][pick])
@@ -246,20 +258,52 @@ class AppearanceLosses:
 
         The closed form has no gradient in the roughness: GGX's energy comes from a table for each (`ggx_albedo`).
         """
-        rows = torch.arange(0, len(self.points), max(1, len(self.points) // ROUGHNESS_POINTS), device=self.z_a.device)
-        points, lobes = self.points.rows(rows), self.light.lobes()
-        albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
-        f0 = k_s * self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
-        seen = None if self.table is None else self.table.share(rows, *lobes[:2])
-
-        def error(roughness: float) -> float:
-            shading = shade(points.normals, points.view, albedo, f0, *lobes, roughness=roughness, visibility=seen)
-            return float(colour_error(shading.radiance, points))
-
+        error = self._error_at(self._some_rows(), k_s=k_s)
         now = float(self.roughness)
         low, high = ROUGHNESS_RANGE
         tried = [r for r in (now, now - ROUGHNESS_STEP, now + ROUGHNESS_STEP) if low <= r <= high]
         self.roughness.fill_(round(min(tried, key=error), 6))
+
+    def _error_at(self, rows: Tensor, *, k_s: float) -> Callable[[float], float]:
+        """The mean error at these points by the base albedo, of a roughness."""
+        points, lobes = self.points.rows(rows), self.light.lobes()
+        albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
+        f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
+        seen = None if self.table is None else self.table.share(rows, *lobes[:2])
+
+        def error(roughness: float) -> float:
+            shading = shade(points.normals, points.view, albedo, f0, *lobes, roughness=roughness, visibility=seen)
+            return float(colour_error(shading.diffuse_radiance + k_s * shading.specular_radiance, points))
+
+        return error
+
+    @torch.no_grad()
+    def remember_plain(self) -> None:
+        """Keep what explains the photo without highlights, and how well it does."""
+        self.plain_error.fill_(self._error_at(self._some_rows(), k_s=0.0)(float(self.roughness)))
+        for kept, now in zip(self.plain, self._fitted(), strict=True):
+            kept.copy_(now)
+
+    @torch.no_grad()
+    def decide_highlights(self) -> None:
+        """Go back to what explained the photo without highlights if these have not made it clearly better.
+
+        Both sides have been fitted, light, albedo and all: taking highlights away from a fit made with them would leave
+        their place dark, and nothing would ever do without.
+        """
+        self.shiny_error.fill_(self._error_at(self._some_rows(), k_s=1.0)(float(self.roughness)))
+        if not self.config.everything and self.shiny_error > (1.0 - LEAST_HIGHLIGHT_GAIN) * self.plain_error:
+            self.highlights.fill_(0.0)
+            for kept, now in zip(self.plain, self._fitted(), strict=True):
+                now.copy_(kept)
+
+    def _fitted(self) -> list[Tensor]:
+        """What the stages before the refinement have found, without highlights' own."""
+        return [*self.light.parameters(), self.light.start, self.light.kept, self.z_a]
+
+    def _some_rows(self) -> Tensor:
+        step = max(1, len(self.points) // ROUGHNESS_POINTS)
+        return torch.arange(0, len(self.points), step, device=self.z_a.device)
 
     @torch.no_grad()
     def _merge_lobes(self) -> None:
@@ -267,7 +311,7 @@ class AppearanceLosses:
         rows = torch.arange(0, len(self.early), max(1, len(self.early) // MERGED_POINTS), device=self.z_a.device)
         points = self.early.rows(rows)
         albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
-        f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
+        f0 = float(self.highlights) * self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
         lobes, kept, change = fewer_lobes(
             points.normals,
             points.view,

@@ -8,19 +8,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from sira_assets.fields.fitted import FittedHead
 from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.seen_surface import SurfacePoints
 from sira_assets.numerics.sg import irradiance
-from sira_assets.numerics.srgb import srgb_encode
-from sira_assets.render.shading import shade
 
 # Shadows that take less than this share of the light are left out: an 8-bit step of 255.
 LEAST_SHADOWED_SHARE = 0.004
 # A lobe that gives less than this share of the light is left out: an eighth of an 8-bit step.
 LEAST_LOBE_SHARE = 0.0005
-# Highlights that lower the mean error by less than this (sRGB-encoded, 0 to 1; a tenth of an 8-bit step) are left out.
-LEAST_SPECULAR_GAIN = 4.0e-4
 
 Lobes = tuple[Tensor, Tensor, Tensor]
 
@@ -101,18 +96,7 @@ def needed_lobes(evidence: Evidence, *, sought: int, merging: float) -> tuple[Ev
     return Evidence(evidence.points, (axis, sharpness, amplitude), seen), decision
 
 
-@torch.no_grad()
-def needed_specular(head: FittedHead, evidence: Evidence, roughness: float) -> tuple[FittedHead, FitDecision]:
-    """The head with or without highlights, by the mean error with them and with them taken away."""
-    points = evidence.points
-    albedo, f0 = head.reference_material(points.x_ref, points.gamma)
-    shading = shade(
-        points.normals, points.view, albedo, f0, *evidence.lobes, roughness=roughness, visibility=evidence.visibility
-    )
-    errors = [
-        float((srgb_encode(r) - points.rays.rgb).abs().mean()) for r in (shading.radiance, shading.diffuse_radiance)
-    ]
-    said = f"mean error {errors[0]:.4f} with highlights, {errors[1]:.4f} with them taken away (sRGB-encoded, 0 to 1)"
-    if errors[1] - errors[0] < LEAST_SPECULAR_GAIN:
-        head = replace(head, specular_scale=0.0)
-    return head, FitDecision("specular", f"k_s = {head.specular_scale:.2g}", said)
+def needed_highlights(scale: float, *, plain: float, shiny: float) -> FitDecision:
+    """What the fit decided before the refinement, by its mean errors without highlights and with them."""
+    said = f"mean error {shiny:.4f} with highlights, {plain:.4f} without, each fitted (sRGB-encoded, 0 to 1)"
+    return FitDecision("specular", f"k_s = {scale:.2g}", said)

@@ -7,6 +7,7 @@ Notation: n normals, v view (towards the camera), a diffuse albedo (linear), s s
 import math
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -61,7 +62,8 @@ def shade(
     ----------
     normals, view : (N, 3) unit; view points from the surface to the camera
     diffuse : (N, 3) albedo in [0, 1], linear
-    specular_f0 : (N,) in [0, 1]
+    specular_f0 : (N,) in [0, 1]; 0 at all points is a surface that reflects nothing, at grazing angles neither (as an
+        index of refraction of 1 does not, though Schlick's Fresnel would)
     axis, sharpness, amplitude : the light's lobes, in the frame of the normals
     roughness : 0.05 to 1
     visibility : (N, M) in [0, 1], the share of each lobe's light that nothing stands before; 1 if None
@@ -70,7 +72,18 @@ def shade(
     directions, numbers = (normals, view, axis), (diffuse, specular_f0, sharpness, amplitude)
     dtype, (normals, view, axis, diffuse, specular_f0, sharpness, amplitude) = widen(directions, numbers)
     light = irradiance(normals, axis, sharpness, amplitude, visibility=visibility, grade=grade)
-    specular = specular_radiance(
-        normals, view, specular_f0, axis, sharpness, amplitude, roughness=roughness, visibility=visibility, grade=grade
-    )
+    if specular_f0.requires_grad or bool((specular_f0 > 0).any()):
+        specular = specular_radiance(
+            normals,
+            view,
+            specular_f0,
+            axis,
+            sharpness,
+            amplitude,
+            roughness=roughness,
+            visibility=visibility,
+            grade=grade,
+        )
+    else:
+        specular = torch.zeros_like(light)
     return Shading(*(narrow(part, dtype) for part in (diffuse * light / math.pi, specular, light)))
