@@ -40,7 +40,7 @@ def relit(scene: Scene, lobes: int, highlights: bool, seed: int):
     view = torch.as_tensor(-directions[p.mask.reshape(-1)], dtype=torch.float32)
     axis, sharpness, amplitude = drawn_lobes(lobes, np.random.default_rng([seed, lobes, highlights]))
     turn = p.world_from_canonical[:3, :3] / np.cbrt(np.linalg.det(p.world_from_canonical[:3, :3]))
-    f0 = 0.04 * ks.mean(-1) * float(highlights)
+    f0 = 0.04 * ks.mean(-1) if highlights else None
     light = (torch.as_tensor(a, dtype=torch.float32) for a in (axis @ turn.T, sharpness, amplitude))
     unit = torch.nn.functional.normalize(normals, dim=-1)
     radiance = shade(unit, view, albedo, f0, *light, roughness=ROUGHNESS).radiance.numpy()

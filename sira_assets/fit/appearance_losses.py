@@ -87,8 +87,8 @@ ROUGHNESS_STEP = 0.02
 ROUGHNESS_RANGE = (0.3, 0.7)
 ROUGHNESS_POINTS = 4000
 # Skin reflects, so highlights stay unless the fit with them is worse by more than this share of the mean error. Without
-# any in the photo it was worse by 3 to 9 % (three generated heads under one or twelve lobes), with them from 10 % better
-# to 4 % worse, on a real scan 1 % worse.
+# any in the photo it was worse by 3 to 9 % (three generated heads under one or twelve lobes), with them from 10 %
+# better to 4 % worse, on a real scan 1 % worse.
 MOST_HIGHLIGHT_LOSS = 0.02
 # Points that decide which lobes are made one.
 MERGED_POINTS = 1500
@@ -199,7 +199,7 @@ class AppearanceLosses:
             base = base.detach()
             extra = self.refinement(points.x_ref, points.gamma)
             albedo = (base + extra).clamp(1e-4, 1.0)
-        f0 = torch.zeros_like(albedo[:, 0]).detach()
+        f0 = None
         if k_s > 0:
             f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
         lobes = self.light.lobes()
@@ -313,7 +313,9 @@ class AppearanceLosses:
         rows = torch.arange(0, len(self.early), max(1, len(self.early) // MERGED_POINTS), device=self.z_a.device)
         points = self.early.rows(rows)
         albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
-        f0 = float(self.highlights) * self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
+        f0 = None
+        if self.highlights > 0:
+            f0 = self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
         lobes, kept, change = fewer_lobes(
             points.normals,
             points.view,
@@ -331,9 +333,7 @@ class AppearanceLosses:
         """Scale the starting light so that the mean albedo under it is as bright as the photo on average."""
         surface = self.surface
         albedo = self.model.diffuse(surface.x_ref, surface.gamma, self.prior.z_a.mean)
-        none = torch.zeros_like(albedo[:, 0])
-        lobes = self.light.lobes()
-        shading: Shading = shade(surface.normals, surface.view, albedo, none, *lobes, roughness=ROUGHNESS)
+        shading: Shading = shade(surface.normals, surface.view, albedo, None, *self.light.lobes())
         gain = srgb_decode(surface.rays.rgb).mean() / shading.radiance.mean().clamp_min(1e-6)
         self.light.scale(float(gain))
 

@@ -61,7 +61,7 @@ def fewer_lobes(
     normals: Float[Tensor, "N 3"],
     view: Float[Tensor, "N 3"],
     diffuse: Float[Tensor, "N 3"],
-    specular_f0: Float[Tensor, " N"],
+    specular_f0: Float[Tensor, " N"] | None,
     lobes: Lobes,
     *,
     roughness: float,

@@ -47,7 +47,7 @@ def shade(
     normals: Float[Tensor, "n 3"],
     view: Float[Tensor, "n 3"],
     diffuse: Float[Tensor, "n 3"],
-    specular_f0: Float[Tensor, " n"],
+    specular_f0: Float[Tensor, " n"] | None,
     axis: Float[Tensor, "m 3"],
     sharpness: Float[Tensor, " m"],
     amplitude: Float[Tensor, "m 3"],
@@ -62,28 +62,19 @@ def shade(
     ----------
     normals, view : (N, 3) unit; view points from the surface to the camera
     diffuse : (N, 3) albedo in [0, 1], linear
-    specular_f0 : (N,) in [0, 1]; 0 at all points is a surface that reflects nothing, at grazing angles neither (as an
-        index of refraction of 1 does not, though Schlick's Fresnel would)
+    specular_f0 : (N,) in [0, 1]; None is a surface that reflects nothing, while 0 still does at grazing angles
     axis, sharpness, amplitude : the light's lobes, in the frame of the normals
     roughness : 0.05 to 1
     visibility : (N, M) in [0, 1], the share of each lobe's light that nothing stands before; 1 if None
     grade : see `numerics.sg.irradiance` and `numerics.sg_specular.specular_radiance`
     """
-    directions, numbers = (normals, view, axis), (diffuse, specular_f0, sharpness, amplitude)
-    dtype, (normals, view, axis, diffuse, specular_f0, sharpness, amplitude) = widen(directions, numbers)
+    reflecting = () if specular_f0 is None else (specular_f0,)
+    directions, numbers = (normals, view, axis), (diffuse, sharpness, amplitude, *reflecting)
+    dtype, (normals, view, axis, diffuse, sharpness, amplitude, *reflecting) = widen(directions, numbers)
     light = irradiance(normals, axis, sharpness, amplitude, visibility=visibility, grade=grade)
-    if specular_f0.requires_grad or bool((specular_f0 > 0).any()):
+    specular = torch.zeros_like(light)
+    for f0 in reflecting:
         specular = specular_radiance(
-            normals,
-            view,
-            specular_f0,
-            axis,
-            sharpness,
-            amplitude,
-            roughness=roughness,
-            visibility=visibility,
-            grade=grade,
+            normals, view, f0, axis, sharpness, amplitude, roughness=roughness, visibility=visibility, grade=grade
         )
-    else:
-        specular = torch.zeros_like(light)
     return Shading(*(narrow(part, dtype) for part in (diffuse * light / math.pi, specular, light)))

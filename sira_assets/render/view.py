@@ -75,6 +75,7 @@ def render_view(
     normals = normals - np.minimum(facing, 0.0) * view
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     lobes = [torch.as_tensor(a.copy(), dtype=torch.float32) for a in (light.axis, light.sharpness, light.amplitude)]
+    reflects = bool((material.specular_f0 > 0).any())
     parts: list[list[np.ndarray]] = [[], [], []]
     for start in range(0, len(seen), chunk):
         rows = slice(start, start + chunk)
@@ -84,7 +85,7 @@ def render_view(
                 tensor(normals),
                 tensor(view),
                 tensor(material.diffuse),
-                tensor(material.specular_f0),
+                tensor(material.specular_f0) if reflects else None,
                 *lobes,
                 roughness=roughness,
                 visibility=None if visibility is None else tensor(visibility),

@@ -30,6 +30,7 @@ def light_maps(
     visibility : (N, M) in [0, 1], or None
     """
     lit = diffuse is not None and specular_f0 is not None
+    reflects = lit and bool((specular_f0 > 0).any())
     irradiance_out = np.zeros((len(normals), 3), np.float32)
     radiance = np.zeros((len(normals), 3), np.float32) if lit else None
     if not len(light):
@@ -50,7 +51,8 @@ def light_maps(
             n = tensor(normals[rows])
             seen = None if visibility is None else tensor(visibility[rows])
             if lit:
-                shaded = shade(n, n, tensor(diffuse[rows]), tensor(specular_f0[rows]), *lobes, visibility=seen)
+                f0 = tensor(specular_f0[rows]) if reflects else None
+                shaded = shade(n, n, tensor(diffuse[rows]), f0, *lobes, visibility=seen)
                 irradiance_out[rows], radiance[rows] = shaded.irradiance.numpy(), shaded.radiance.numpy()
             else:
                 irradiance_out[rows] = irradiance(n, *lobes, visibility=seen).numpy()

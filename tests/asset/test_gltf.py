@@ -124,7 +124,8 @@ def test_constant_maps_become_factors(flat_avatar):
 def test_no_specular_at_all_is_a_factor_of_zero():
     maps = dataclasses.replace(smooth_maps(), specular_f0=np.zeros((64, 64), np.float32))
     glb = read_glb(glb_bytes(avatar_of(maps)))
-    assert glb.specular == {"specularColorFactor": [0.0, 0.0, 0.0]}
+    # The factor scales F90 too; a colour of 0 would leave the reflection at grazing angles.
+    assert glb.specular == {"specularFactor": 0.0}
 
 
 def test_extras_carry_unit_frame_and_light(avatar, glb):

@@ -44,7 +44,7 @@ def test_both_specular_forms_say_the_same_F0(scale, tmp_path):
     largest = maps.specular_f0.max()
     # Half a step of each: 0.0045 of the largest in sRGB at its steepest, half a 255th on the linear scale.
     assert np.abs(colour.f0 - factor.f0).max() <= (0.0045 + 0.5 / 255) * largest + 1e-12
-    assert (colour.f90 == 1).all()
+    assert (colour.f90 == (scale > 0)).all()
     # The factor form scales F90 with F0, as its documentation says; the colour is what F0 has above 0.04.
     assert factor.f90 == pytest.approx(factor.f0[:, 0] / (0.04 * max(largest / 0.04, 1)), abs=1e-6)
 

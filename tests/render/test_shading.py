@@ -22,6 +22,16 @@ def cap(count: int = 64) -> tuple[torch.Tensor, torch.Tensor]:
     return normals, view
 
 
+def test_a_surface_that_reflects_nothing_has_the_same_diffuse_part_and_no_other():
+    normals = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(4)), dim=-1)
+    lobes = torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([3.0]), torch.tensor([[2.0, 1.0, 0.5]])
+    albedo = torch.full((50, 3), 0.3)
+    with_it, without = (shade(normals, normals.flip(0), albedo, f0, *lobes) for f0 in (torch.full((50,), 0.04), None))
+    torch.testing.assert_close(without.diffuse_radiance, with_it.diffuse_radiance, rtol=0, atol=0)
+    assert float(with_it.specular_radiance.max()) > 0
+    assert not without.specular_radiance.any()
+
+
 def test_parts_add_up_and_each_is_linear_in_its_albedo():
     normals, view = cap()
     light = torch.eye(3), torch.tensor([1.0, 20.0, 300.0]), torch.ones(3, 3)
