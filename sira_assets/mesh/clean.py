@@ -1,4 +1,4 @@
-"""From any triangles to one clean surface: welded, one piece, no faces of no area, closed where it can be.
+"""From any triangles to one clean surface: welded, one piece, no faces of no area, no small handles, closed where it can.
 
 Notation: a piece is a set of faces connected through vertices; its signed volume is positive when its faces look out.
 """
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sira_assets.errors import InputError
+from sira_assets.mesh.handles import close_handles
 from sira_assets.mesh.lattice import bounds_sdf
 from sira_assets.mesh.self_intersection import self_intersecting_faces
 from sira_assets.mesh.topology import Topology, edge_keys, nonmanifold_vertices, topology, vertex_pieces
@@ -22,11 +23,14 @@ class CleanConfig:
     ----------
     min_area_m2 : faces below this are dropped; 1e-16 m^2 is a square of 10 nm, far below any lattice
     close_holes_of : holes of up to this many edges are closed (0: none)
+    close_handles_of_m : tunnels and bridges are closed that a loop of at most this length goes around; 15 mm is that
+        of a pencil, and nothing of a head is a ring so thin (0: none)
     open_bust : leave off the flat caps where the head's box cuts the shoulders, for use on another body
     """
 
     min_area_m2: float = 1e-16
     close_holes_of: int = 500
+    close_handles_of_m: float = 0.015
     open_bust: bool = False
 
 
@@ -45,6 +49,7 @@ class CleanReport:
     dropped_piece_faces: int
     repaired_nonmanifold: bool
     closed_holes: bool
+    closed_handles: int
     self_intersecting_faces: int
     result: Topology
 
@@ -55,7 +60,7 @@ def clean_mesh(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -> Trian
 
 
 def clean_with_report(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -> tuple[TriangleMesh, CleanReport]:
-    """Weld, drop bad faces, keep the largest piece, repair what is not manifold, close small holes.
+    """Weld, drop bad faces, keep the largest piece, repair what is not manifold, close small holes and handles.
 
     Normals of vertices that survive are kept; new vertices get the mean of their faces'.
 
@@ -88,6 +93,9 @@ def _clean(mesh: TriangleMesh, config: CleanConfig) -> tuple[TriangleMesh, Clean
         out = _split_nonmanifold(out)
     if broken or holes:
         out = _drop_unused(_largest_piece(_meshlab_repair(out, config.close_holes_of if holes or broken else 0))[0])
+    handles = 0
+    if config.close_handles_of_m > 0:
+        out, handles = close_handles(out, config.close_handles_of_m)
     if config.open_bust:
         on_cap = (bounds_sdf(out.vertices) > -1e-7)[out.faces].all(1)
         out = _drop_unused(TriangleMesh(out.vertices, out.faces[~on_cap], out.normals))
@@ -104,6 +112,7 @@ def _clean(mesh: TriangleMesh, config: CleanConfig) -> tuple[TriangleMesh, Clean
         dropped_piece_faces=len(sound.faces) - len(largest.faces),
         repaired_nonmanifold=broken,
         closed_holes=holes,
+        closed_handles=handles,
         self_intersecting_faces=0,
         result=topology(out),
     )
