@@ -46,6 +46,8 @@ class Settings:
     max_triangles : of the exported mesh, where `tolerance_mm` does not decide
     tolerance_mm : greatest distance of the exported mesh from the field's zero set, canonical mm; or None
     levels_of_detail : how many coarser avatars come beside the full one
+    largest_photo : a photo of more pixels a side is brought down to so many for everything: a head's fields hold no
+        finer detail, and what is drawn beside the photo would take longer than the fit
     photo_side : the fits read the photo at no more than so many pixels a side; None: as it is
     """
 
@@ -61,6 +63,7 @@ class Settings:
     bake: BakeConfig = BakeConfig()
     export: ExportConfig = ExportConfig()
     texels_per_pixel: float | None = None  # where the photo decides the texture size; None: `bake.size` does
+    largest_photo: int = 2048
     photo_side: int | None = None
     seed: int = 0
 
@@ -138,6 +141,7 @@ def settings_for(
     ------
     InputError : another name.
     """
+    largest = Settings.largest_photo
     g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, everything=everything, seed=seed)
     if quality == "draft":
         g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, steps_cover=20)
@@ -149,7 +153,7 @@ def settings_for(
     elif quality == "high":
         g = replace(g, steps_codes=400, rays=2000, band_rays=600)
         a = replace(a, steps_refinement=1500, pixels=6000, max_surface=400000)
-        density, triangles, cell, samples = 2.0, 60000, 0.0015, 3
+        density, triangles, cell, samples, largest = 2.0, 60000, 0.0015, 3, 4096
     else:
         raise InputError(expected="draft, standard or high", received=quality, remedy="choose one of them")
     check_maps(maps)
@@ -167,6 +171,7 @@ def settings_for(
         unwrap=UnwrapConfig(texture_size=size),
         bake=BakeConfig(size=size, samples=samples, maps=tuple(dict.fromkeys((*DEFAULT_MAPS, *maps)))),
         texels_per_pixel=None if texture_size else density,
+        largest_photo=largest,
         seed=seed,
     )
 
@@ -216,6 +221,7 @@ def run(
     prior = prior.to(device)
     if timetable is not None and work is not None:
         raise ValueError("a run against the clock cannot be gone on with: give either work or timetable")
+    portrait = reduced(portrait, settings.largest_photo)
     seen = reduced(portrait, settings.photo_side) if settings.photo_side else portrait
     key = fit_key(seen, prior, repr(settings.geometry))
     geometry = kept_geometry(work, key, device=device) if work else None

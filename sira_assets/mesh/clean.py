@@ -1,4 +1,4 @@
-"""From any triangles to one clean surface: welded, one piece, no faces of no area, no small handles, closed where it can.
+"""From any triangles to one clean surface, closed where it can be, without small handles or faces of no area.
 
 Notation: a piece is a set of faces connected through vertices; its signed volume is positive when its faces look out.
 """

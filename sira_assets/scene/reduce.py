@@ -51,8 +51,10 @@ def reduced(portrait: Portrait, longest_side: int) -> Portrait:
         return kept.reshape(rows, k, columns, k, *array.shape[2:])
 
     camera = replace(portrait.camera, width=columns * k, height=rows * k).resized(columns, rows)
+    said = f"the photo of {width} x {height} pixels was read at {columns} x {rows}"
     return replace(
         portrait,
+        warnings=(*portrait.warnings, said),
         image_linear=blocks(portrait.image_linear).mean((1, 3), dtype=np.float64).astype(np.float32),
         mask=blocks(portrait.mask).mean((1, 3)) > 0.5,
         camera=camera,

@@ -1,9 +1,12 @@
 """A reduced portrait shows the same head through the same camera."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sira_assets.errors import InputError
+from sira_assets.pipeline import run, settings_for
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.portrait import Portrait
 from sira_assets.scene.reduce import reduced
@@ -46,3 +49,24 @@ def test_a_small_portrait_is_left_alone_and_none_too_small_is_made():
     assert reduced(whole, 130) is whole
     with pytest.raises(InputError, match="16"):
         reduced(whole, 15)
+
+
+def test_what_was_read_is_said():
+    assert reduced(portrait(), 65).warnings == ("the photo of 130 x 101 pixels was read at 65 x 50",)
+    assert reduced(portrait(), 130).warnings == ()
+
+
+def test_the_journey_reads_no_more_than_the_largest_photo():
+    class Enough(Exception):
+        pass
+
+    def stop(name, function, *arguments, **options):
+        if name == "load prior":
+            return function(*arguments, **options)
+        raise Enough(name, arguments[0])
+
+    with pytest.raises(Enough) as found:
+        run(portrait(), replace(settings_for("draft"), largest_photo=65), runner=stop)
+    name, seen = found.value.args
+    assert (name, seen.mask.shape) == ("fit geometry", (50, 65))
+    assert len(seen.warnings) == 1
