@@ -135,14 +135,14 @@ def settings_for(
     levels_of_detail : further avatars, each with a quarter of the triangles and half the texels a side
     open_bust : leave off the caps where the head's box cuts the shoulders
     shadows : whether the head casts shadows on itself, in the fit, in the bake and in the render
-    everything : model lobes, highlights and shadows that the photo cannot tell from none all the same
+    everything : see `modelling_everything`
 
     Raises
     ------
     InputError : another name.
     """
     largest = Settings.largest_photo
-    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, everything=everything, seed=seed)
+    g, a = GeometryFitConfig(seed=seed), AppearanceFitConfig(shadows=shadows, seed=seed)
     if quality == "draft":
         g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, steps_cover=20)
         g = replace(g, rays=600, band_rays=250)
@@ -159,7 +159,7 @@ def settings_for(
     check_maps(maps)
     size = texture_size or BakeConfig.size
     finer = None if tolerance_mm is None else EXTRACT_SHARE * tolerance_mm
-    return Settings(
+    settings = Settings(
         quality,
         g,
         a,
@@ -174,6 +174,13 @@ def settings_for(
         largest_photo=largest,
         seed=seed,
     )
+    return modelling_everything(settings) if everything else settings
+
+
+def modelling_everything(settings: Settings) -> Settings:
+    """The same, with lobes, highlights and shadows that the photo cannot tell from none, and `bake.size` texels a side
+    whatever the photo shows."""
+    return replace(settings, appearance=replace(settings.appearance, everything=True), texels_per_pixel=None)
 
 
 def sized_for_photo(settings: Settings, mesh_world: TriangleMesh, camera: Camera) -> Settings:

@@ -1,15 +1,19 @@
 """What the fit leaves out, beside the truth, and what that saves and costs.
 
 The scenes' photos are made anew from their exact normals and albedos, lit by few or many lobes, with or without
-highlights, without shadows; each is fitted twice on one fitted shape: as the scene requires, and with everything.
+highlights, without shadows; each becomes an avatar twice, on one fitted shape: as the scene requires, and with
+everything.
 """
 
+import tempfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from _fit_measurement import Scene, fit_material, fit_shape, picture_scores
+from _fit_measurement import Scene, Shape, picture_scores
+from _tradeoff_keep import measured
 
 # (lobes, whether there are highlights): a scene's name decides which, so that it has always the same.
 LIGHTS = ((1, True), (3, False), (12, True), (1, False), (6, True), (3, True), (12, False), (2, True))
@@ -49,24 +53,76 @@ def relit(scene: Scene, lobes: int, highlights: bool, seed: int):
     return replace(p, image_linear=image, saturated=(image >= 1.0).any(-1))
 
 
+# What both runs of a scene have in common: made once, and counted for both.
+SHARED = ("fit geometry", "extract", "clean", "simplify", "measure")
+
+
 def measure_thrift(scene: Scene, prior, settings) -> dict[str, object]:
-    """One scene under its light: what was kept, and both fits' seconds and decibels."""
+    """One scene under its light: what was kept, and both journeys' seconds, bytes and decibels."""
+    from sira_assets.pipeline import modelling_everything, run
+
     case = zlib.crc32(scene.folder.name.encode())
     lobes, highlights = LIGHTS[case % len(LIGHTS)]
     portrait = relit(scene, lobes, highlights, case)
-    appearance = replace(settings.appearance, shadows=False)
-    shape = fit_shape(portrait, prior, settings)
+    settings = replace(settings, appearance=replace(settings.appearance, shadows=False))
+    stages = SharedStages()
     out: dict[str, object] = {"lobes": lobes, "highlights": highlights}
     for name, everything in (("required", False), ("everything", True)):
-        chosen = replace(settings, appearance=replace(appearance, everything=everything))
-        fit, seconds = fit_material(shape, prior, chosen)
-        scores = picture_scores(shape, fit, scene, photo=portrait.image_linear)
-        out[f"{name}_s"] = seconds["appearance"]
-        out |= {f"{name}_{k}": scores[k] for k in ("final", "diffuse")}
+        chosen = modelling_everything(settings) if everything else settings
+        stages.begin()
+        journey = run(portrait, chosen, prior=prior, runner=stages)
+        out[f"{name}_s"] = sum(stages.cpu_s.values())
+        out |= {f"{name}_{key}": value for key, value in scores(journey, scene, portrait).items()}
         if not everything:
-            out["lobes_kept"] = len(fit.light.sharpness)
-            out["highlights_kept"] = fit.head.specular_scale > 0.0
+            out["shape_s"] = sum(stages.cpu_s[stage] for stage in SHARED)
+            out["lobes_kept"] = len(journey.avatar.light.sharpness)
+            out["highlights_kept"] = journey.appearance.head.specular_scale > 0.0
     return out
+
+
+class SharedStages:
+    """A runner for `pipeline.run` that makes the shared stages once.
+
+    Attributes
+    ----------
+    cpu_s : stage -> processor seconds, its children's too, whether made now or before
+    """
+
+    def __init__(self):
+        self._held: dict[str, tuple[object, float]] = {}
+        self.begin()
+
+    def begin(self) -> None:
+        """Another run."""
+        self.cpu_s: dict[str, float] = {}
+
+    def __call__(self, name: str, function: Callable, *arguments, **options):
+        """Run a stage, or give what it made."""
+        if name in self._held:
+            out, self.cpu_s[name] = self._held[name]
+            return out
+        out, stage = measured(name, function, *arguments, **options)
+        self.cpu_s[name] = stage.cpu_s
+        if name in SHARED:
+            self._held[name] = out, stage.cpu_s
+        return out
+
+
+def scores(journey, scene: Scene, portrait) -> dict[str, float]:
+    """dB of the field (final, diffuse) and of the exported file against the photo (asset); the file's bytes."""
+    from sira_assets.asset.gltf import write_glb
+    from sira_assets.measure.exported import measure_exported
+
+    shape = Shape(journey.portrait, journey.geometry, journey.surface, {})
+    pictures = picture_scores(shape, journey.appearance, scene, photo=portrait.image_linear)
+    with tempfile.TemporaryDirectory() as folder:
+        glb = Path(folder) / "avatar.glb"
+        write_glb(journey.avatar, glb, journey.settings.export)
+        compared = journey.view.final, portrait.image_linear, portrait.mask
+        asset = measure_exported(glb, *compared, shadows=journey.appearance.shadowed)
+        kilobytes = glb.stat().st_size / 1000
+    found = {key: pictures[key] for key in ("final", "diffuse")}
+    return found | {"asset": asset.against_photo.psnr_db, "kB": kilobytes}
 
 
 def print_thrift(rows: list[Mapping[str, object]]) -> None:
@@ -74,12 +130,13 @@ def print_thrift(rows: list[Mapping[str, object]]) -> None:
     from _fit_measurement import mean_of, print_table
 
     yes = lambda b: "yes" if b else "no"  # noqa: E731
+    pairs = [
+        f"{kind}_{what}" for what in ("s", "kB", "final", "asset", "diffuse") for kind in ("required", "everything")
+    ]
     lines = []
     for r in rows:
-        of_both = [r[f"{kind}_{what}"] for what in ("s", "final", "diffuse") for kind in ("required", "everything")]
         kept = [r["lobes"], r["lobes_kept"], yes(r["highlights"]), yes(r["highlights_kept"])]
-        lines.append([r["scene"], *kept, *of_both])
-    means = [mean_of(rows, f"{kind}_{w}") for w in ("s", "final", "diffuse") for kind in ("required", "everything")]
-    lines.append(["mean", "", "", "", "", *means])
-    columns = ["scene", "lobes", "kept", "highlights", "kept", "CPU s", "all", "final dB", "all", "diffuse dB", "all"]
-    print_table(columns, lines)
+        lines.append([r["scene"], *kept, r["shape_s"], *(r[pair] for pair in pairs)])
+    lines.append(["mean", "", "", "", "", mean_of(rows, "shape_s"), *(mean_of(rows, pair) for pair in pairs)])
+    columns = ["scene", "lobes", "kept", "highlights", "kept", "shape CPU s", "CPU s", "all", "kB", "all"]
+    print_table([*columns, "final dB", "all", "asset dB", "all", "diffuse dB", "all"], lines)

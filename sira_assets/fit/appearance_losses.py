@@ -38,6 +38,7 @@ class AppearanceFitConfig:
     shadows : whether the head casts shadows on itself
     scheduled : False learns light, codes and the decoders' own weights all at once, with k_s = 1 and no refinement, in
         as many steps: what is left where there is no trained prior (the paper's ablation)
+    tint : weight of `FreeLight.tint`
     face : how much more often than other points those of the face are drawn before the refinement
     drift : weight of the patches' mean refinement, see `_drift`; `drift_scale` the share of the base albedo from which
         on a patch counts as of another material, `drift_cell` its size (network units), `drift_from` the share of the
@@ -59,6 +60,7 @@ class AppearanceFitConfig:
     rate_refinement: float = 1.5e-3
     albedo_prior: float = 3.0e-5
     light_prior: float = 3.0e-5
+    tint: float = 4.0e-4
     shadow: float = 1.0
     highlight: float = 2.0
     regularity: float = 0.05
@@ -89,7 +91,7 @@ ROUGHNESS_POINTS = 4000
 # Skin reflects, so highlights stay unless the fit with them is worse by more than this share of the mean error. Without
 # any in the photo it was worse by 2 to 9 % (generated heads under one and twelve lobes), with them from 10 % better to
 # 4 % worse, on a real scan neither.
-MOST_HIGHLIGHT_LOSS = 0.01
+MOST_HIGHLIGHT_LOSS = 0.02
 # Points that decide which lobes are made one.
 MERGED_POINTS = 1500
 # A channel of a clipped pixel counts as clipped from here, an 8-bit step below white.
@@ -225,6 +227,7 @@ class AppearanceLosses:
             "colour": colour_error(shading.radiance, points),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
             "light_prior": c.light_prior * self.light.energy(),
+            "tint": c.tint * self.light.tint(),
         }
         if refine:
             diffuse_base = base * shading.irradiance.detach() / math.pi

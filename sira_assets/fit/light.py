@@ -1,14 +1,20 @@
 """Light as free parameters of a fit.
 
-Notation: lobes in log space, so that sharpness and amplitude stay positive with a gradient everywhere; canonical frame.
+Notation: lobes in log space, so that sharpness and amplitude stay positive with a gradient everywhere; canonical frame;
+E the mean irradiance, without shadows, on normals within 60 degrees of the face's.
 """
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from sira_assets.fields.af_sm import fibonacci_sphere
 from sira_assets.fields.prior import Prior
-from sira_assets.numerics.sg import sg_integral
+from sira_assets.numerics.sg import irradiance, sg_integral
+
+# ln E_R / E_G and ln E_B / E_G that cameras leave: of 200 white-balanced portraits by the generator half lie within
+# 0.034 and 0.045 of 0, with tails to 0.3, so that a lamp's own colour is doubted, not forbidden.
+TINT_RED, TINT_BLUE = 0.05, 0.08
 
 
 class FreeLight:
@@ -47,6 +53,17 @@ class FreeLight:
         """How far the sharpnesses went from where they began, and how coloured the lobes are."""
         chroma = (self.log_amplitude - self.log_amplitude.mean(-1, keepdim=True))[self.kept]
         return (self.log_sharpness - self.start)[self.kept].square().sum() + 4.0 * chroma.square().sum()
+
+    def tint(self) -> Float[Tensor, ""]:
+        """How far the light that meets the face is from grey: sum of ln(1 + t^2), t the two log ratios over their
+        scales (Student's t of one degree).
+
+        One photo does not tell a pale face under a bluish light from a darker one under a grey light; cameras balance
+        to grey, and skin's colour goes with its lightness.
+        """
+        every_way = fibonacci_sphere(192).to(self.axis)
+        red, green, blue = irradiance(every_way[every_way[:, 2] > 0.5], *self.lobes()).mean(0).clamp_min(1e-6).log()
+        return torch.log1p(((red - green) / TINT_RED).square()) + torch.log1p(((blue - green) / TINT_BLUE).square())
 
     @torch.no_grad()
     def put(self, lobes: tuple[Tensor, Tensor, Tensor], kept: Tensor) -> None:

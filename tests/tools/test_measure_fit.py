@@ -225,8 +225,11 @@ def test_thrift_fits_twice_and_says_what_it_kept(tool, scene, capsys, tmp_path):
     assert tool.main(["thrift", str(scene.folder), "--out", str(tmp_path), "--quiet", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert 1 <= row["lobes_kept"] <= 12
-    for name in ("required_s", "everything_s", "required_final", "everything_final", "required_diffuse"):
-        assert np.isfinite(row[name])
+    for kind in ("required", "everything"):
+        assert row[f"{kind}_s"] > row["shape_s"] > 0
+        assert row[f"{kind}_kB"] > 1
+        for name in ("final", "asset", "diffuse"):
+            assert np.isfinite(row[f"{kind}_{name}"])
 
 
 @pytest.mark.slow
