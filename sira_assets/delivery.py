@@ -24,6 +24,7 @@ from sira_assets.measure.report_page import write_report_html
 from sira_assets.numerics.colour import srgb_from_linear
 from sira_assets.pipeline import Journey, Settings
 from sira_assets.scene.image import write_exr, write_png
+from sira_assets.texture.texture_size import TEXELS_PER_WAVE
 from sira_assets.viewer.scene import ViewerScene, viewer_scene
 
 FILES = (
@@ -246,7 +247,10 @@ def _decisions(journey: Journey, settings: Settings) -> tuple[Decision, ...]:
     )
     size = journey.avatar.textures.size
     how = (
-        f"{settings.texels_per_pixel:g} texels for each pixel of the photo" if settings.texels_per_pixel else "as asked"
+        f"{density:g} texels for each pixel of the photo, but no more than {density * TEXELS_PER_WAVE:g} for each "
+        f"{1000 * journey.appearance.head.shortest_wave_m:g} mm, the field's finest detail"
+        if (density := settings.texels_per_pixel)
+        else "as asked"
     )
     texels = Decision("texture size", f"{size} x {size}", how)
     tried = "; ".join(atlas.attempts) or "first method asked, within its time and without faults"

@@ -183,11 +183,13 @@ def modelling_everything(settings: Settings) -> Settings:
     return replace(settings, appearance=replace(settings.appearance, everything=True), texels_per_pixel=None)
 
 
-def sized_for_photo(settings: Settings, mesh_world: TriangleMesh, camera: Camera) -> Settings:
-    """Settings with the texture size that the photo's pixels ask for, unless a size was asked for."""
+def sized_for_photo(settings: Settings, mesh_world: TriangleMesh, camera: Camera, shortest_wave: float) -> Settings:
+    """Settings with the texture size that the photo's pixels and the albedo's shortest wave (in the world's unit) ask
+    for, unless a size was asked for."""
     if settings.texels_per_pixel is None:
         return settings
-    size = photo_texture_size(mesh_world, camera, texels_per_pixel=settings.texels_per_pixel)
+    density = settings.texels_per_pixel
+    size = photo_texture_size(mesh_world, camera, texels_per_pixel=density, shortest_wave=shortest_wave)
     return replace(settings, unwrap=replace(settings.unwrap, texture_size=size), bake=replace(settings.bake, size=size))
 
 
@@ -287,7 +289,8 @@ def run(
 
     mesh = stage("simplify", asset_mesh, surface, settings.max_triangles, settings.tolerance_mm)
     gap = stage("measure", field_distance, shape, mesh, samples=20_000, device=device)
-    settings = sized_for_photo(settings, mesh.transformed(to_world), portrait.camera)
+    wave = head.shortest_wave_m * float(np.cbrt(np.linalg.det(to_world[:3, :3])))
+    settings = sized_for_photo(settings, mesh.transformed(to_world), portrait.camera, wave)
     avatar = dressed(mesh)
     meshes = [
         stage(f"simplify, level {k}", level_of_detail, surface, mesh, k)

@@ -89,6 +89,12 @@ class FittedHead:
     refinement: AlbedoRefinement | None = None
     specular_scale: float = 1.0
 
+    @property
+    def shortest_wave_m(self) -> float:
+        """Of the waves that the albedo is made of, canonical metres; the shape's and the prior's are longer."""
+        config = RefinementConfig() if self.refinement is None else self.refinement.config
+        return config.shortest * UNIT_M
+
     def sdf(self, x_canonical: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
         """Signed distance in canonical metres."""
         sdf, _, _ = self.shape(x_canonical / UNIT_M, self.z_sdf)
