@@ -34,7 +34,7 @@ class RefinementConfig:
 
     width: int = 128
     depth: int = 3
-    waves: int = 96
+    waves: int = 128
     longest: float = 4.0
     shortest: float = 0.03
 

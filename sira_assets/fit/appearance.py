@@ -166,11 +166,12 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
 
     slow = 0.3 * c.rate_light
     codes = [fit.z_a, fit.z_s]
-    refined = [(light, slow), ([fit.z_s], c.rate_codes), (list(fit.refinement.parameters()), c.rate_refinement)]
+    # The highlights stay as they were found: what the refinement cannot explain is no reason for other skin.
+    refined = [(light, slow), (list(fit.refinement.parameters()), c.rate_refinement)]
     if not c.scheduled:
         steps = c.steps_light + c.steps_albedo + c.steps_specular + c.steps_refinement
         decoders = [*fit.model.albedo.parameters(), *fit.model.specular.parameters()]
-        groups = [(light, c.rate_light), (codes, c.rate_codes), (decoders, c.rate_refinement)]
+        groups = [(light, c.rate_light), (codes, c.rate_codes), (decoders, c.rate_decoders)]
         return [stage("all at once", steps, groups, lambda step: 1.0)]
     ramp = lambda step: (step + 1) / c.steps_specular  # noqa: E731
     k_s = lambda step: float(fit.highlights) if c.steps_specular else 0.0  # noqa: E731

@@ -39,6 +39,8 @@ class AppearanceFitConfig:
     scheduled : False learns light, codes and the decoders' own weights all at once, with k_s = 1 and no refinement, in
         as many steps: what is left where there is no trained prior (the paper's ablation)
     tint : weight of `FreeLight.tint`
+    squared : weight of the colour's squared error beside the plain one in the refinement, where few pixels are far off;
+        before it, pixels that no head of the prior can explain shall not decide
     face : how much more often than other points those of the face are drawn before the refinement
     drift : weight of the patches' mean refinement, see `_drift`; `drift_scale` the share of the base albedo from which
         on a patch counts as of another material, `drift_cell` its size (network units), `drift_from` the share of the
@@ -57,13 +59,15 @@ class AppearanceFitConfig:
     early_surface: int = 15000
     rate_codes: float = 0.05
     rate_light: float = 0.03
-    rate_refinement: float = 1.5e-3
+    rate_refinement: float = 1.0e-2
+    rate_decoders: float = 1.5e-3
     albedo_prior: float = 3.0e-5
     light_prior: float = 3.0e-5
     tint: float = 4.0e-4
+    squared: float = 12.0
     shadow: float = 1.0
     highlight: float = 2.0
-    regularity: float = 0.05
+    regularity: float = 0.25
     unseen: float = 0.5
     lobes: int | None = None
     grade: Grade = "accurate"
@@ -224,7 +228,7 @@ class AppearanceLosses:
             grade=c.grade,
         )
         losses = {
-            "colour": colour_error(shading.radiance, points),
+            "colour": colour_error(shading.radiance, points, squared=c.squared if refine else 0.0),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
             "light_prior": c.light_prior * self.light.energy(),
             "tint": c.tint * self.light.tint(),
@@ -356,9 +360,11 @@ def on_face(x: Tensor) -> Tensor:
     return (away[:, :2].norm(dim=-1) < 0.75) & (x[:, 2] > 0.2)
 
 
-def colour_error(radiance: Tensor, points: SurfacePoints) -> Tensor:
-    """Mean error, sRGB-encoded; a channel that the photo clipped says only: as bright as that, or brighter."""
+def colour_error(radiance: Tensor, points: SurfacePoints, *, squared: float = 0.0) -> Tensor:
+    """Mean error, and the mean of its square times `squared`, sRGB-encoded; a channel that the photo clipped says only:
+    as bright as that, or brighter."""
     encoded = torch.where(radiance > 1.0, 1.0 + SLOPE_AT_WHITE * (radiance - 1.0), srgb_encode(radiance))
     error = encoded - points.rays.rgb
     clipped = ~points.rays.usable[:, None] & (points.rays.rgb >= CLIPPED)
-    return torch.where(clipped, error.clamp_max(0.0), error).abs().mean()
+    error = torch.where(clipped, error.clamp_max(0.0), error)
+    return error.abs().mean() + squared * error.square().mean() if squared else error.abs().mean()
