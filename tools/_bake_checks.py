@@ -12,6 +12,7 @@ import torch
 from sira_assets.fields.head_field import HeadField
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.texture.atlas import Atlas
+from sira_assets.texture.reading import bilinear
 from sira_assets.texture.seams import seam_edges
 
 WAVE_M, CUBE_M = 0.1, 0.01
@@ -44,17 +45,6 @@ def known_colours(points: np.ndarray) -> np.ndarray:
     wave = 0.5 + 0.5 * torch.sin(2.0 * torch.pi / WAVE_M * (x @ _WAVE.double()))
     cubes = torch.floor((x + _SHIFT_M) / CUBE_M).sum(-1)
     return torch.stack([wave, torch.remainder(cubes, 2.0), 0.5 + x[:, 1]], -1).numpy()
-
-
-def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """(N, C) a map (S, S, C), row 0 on top, read at uv with origin bottom-left."""
-    size = len(texture)
-    x, y = uv[:, 0] * size - 0.5, (1.0 - uv[:, 1]) * size - 0.5
-    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
-    fx, fy = (x - i)[:, None], (y - j)[:, None]
-    at = lambda r, c: texture[np.clip(r, 0, size - 1), np.clip(c, 0, size - 1)]  # noqa: E731
-    low, high = (at(r, i) * (1 - fx) + at(r, i + 1) * fx for r in (j, j + 1))
-    return low * (1 - fy) + high * fy
 
 
 def holding(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:

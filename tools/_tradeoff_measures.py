@@ -81,6 +81,7 @@ def asset_accuracy(journey) -> dict[str, float]:
     from sira_assets.mesh.project import ProjectConfig, project_points
     from sira_assets.mesh.raycast import Raycaster
     from sira_assets.numerics.colour import srgb_from_linear
+    from sira_assets.texture.reading import bilinear
 
     avatar, head = journey.avatar, journey.appearance.head
     mesh = avatar.mesh.transformed(avatar.canonical_from_world)
@@ -101,18 +102,6 @@ def asset_accuracy(journey) -> dict[str, float]:
         "asset_max_mm": 1e3 * float(max(there.max(), back.max())),
         "bake_rms": float(np.sqrt((off**2).mean())),
     }
-
-
-def bilinear(picture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """(N, C) values of a map (S, S, C) at coordinates from the bottom left, as a renderer reads it."""
-    size = len(picture)
-    x, y = uv[:, 0] * size - 0.5, (1.0 - uv[:, 1]) * size - 0.5
-    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
-    fx, fy = (x - column)[:, None], (y - row)[:, None]
-    at = lambda r, c: picture[np.clip(r, 0, size - 1), np.clip(c, 0, size - 1)]  # noqa: E731
-    top = (1 - fx) * at(row, column) + fx * at(row, column + 1)
-    bottom = (1 - fx) * at(row + 1, column) + fx * at(row + 1, column + 1)
-    return (1 - fy) * top + fy * bottom
 
 
 def _random_points(mesh, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.texture.atlas import Atlas
+from sira_assets.texture.reading import footprint
 
 # Half an 8-bit step of the map's range is left: as much again is lost to the rounding of either side.
 TOLERANCE = 0.5 / 255.0
@@ -58,7 +59,7 @@ def find_seams(mesh: TriangleMesh, atlas: Atlas, size: int) -> Seams:
     edge = np.repeat(np.arange(len(one)), count)
     t = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)) / (np.repeat(count, count) - 1)
     sides = [side[edge, 0] + t[:, None] * (side[edge, 1] - side[edge, 0]) for side in (one, other)]
-    (a, wa), (b, wb) = (_footprint(uv, size) for uv in sides)
+    (a, wa), (b, wb) = (footprint(uv, size) for uv in sides)
     return Seams(np.concatenate([a, b], 1), np.concatenate([wa, -wb], 1))
 
 
@@ -103,16 +104,3 @@ def even_seams(values: np.ndarray, seams: Seams) -> np.ndarray:
     out = flat.copy()
     out[touched[changed]] = x[changed].clip(flat.min(), flat.max())
     return out.reshape(values.shape)
-
-
-def _footprint(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Texels (N, 4) and weights (N, 4) of a bilinear reading at uv (N, 2), origin bottom-left, row 0 on top."""
-    x, y = uv[:, 0] * size - 0.5, (1.0 - uv[:, 1]) * size - 0.5
-    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = x - i, y - j
-    texels, weights = [], []
-    for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        row, column = np.clip(j + down, 0, size - 1), np.clip(i + across, 0, size - 1)
-        texels.append(row * size + column)
-        weights.append((fy if down else 1.0 - fy) * (fx if across else 1.0 - fx))
-    return np.stack(texels, 1), np.stack(weights, 1)

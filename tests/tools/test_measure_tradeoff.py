@@ -13,7 +13,6 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
 from _tradeoff_figures import REFERENCE, Record, Setting, compared, curve_of, write_csv  # noqa: E402
 from _tradeoff_keep import FarEnough, StageKeeper, digest, measured  # noqa: E402
-from _tradeoff_measures import bilinear  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -130,13 +129,6 @@ def test_every_run_is_a_line_of_the_table(tmp_path):
         ("reference", 12.0, 1.0),
         ("lobes", 7.0, 2.0),
     ]
-
-
-def test_a_map_is_read_between_its_texels():
-    rows, columns = np.mgrid[:8, :8]
-    ramp = np.stack([(columns + 0.5) / 8, 1 - (rows + 0.5) / 8], -1)
-    uv = np.random.default_rng(0).uniform(0.1, 0.9, (50, 2))
-    assert bilinear(ramp, uv) == pytest.approx(uv, abs=1e-12)  # a linear map is read exactly
 
 
 def test_wrong_usage():
