@@ -13,10 +13,11 @@ from sira_assets.errors import InputError
 from sira_assets.fields.fitted import RefinementConfig
 from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
+from sira_assets.fit.appearance import fit_appearance, unlit_head
 from sira_assets.fit.appearance_losses import AppearanceFitConfig
 from sira_assets.fit.geometry import GeometryFitConfig, fit_geometry
 from sira_assets.fit.pixels import mask_rays
-from sira_assets.mesh.extract import ExtractConfig
+from sira_assets.mesh.extract import ExtractConfig, extract_mesh
 from sira_assets.render.tracing import sphere_trace
 from sira_assets.texture.bake import BakeConfig
 from sira_assets.texture.unwrap import UnwrapConfig
@@ -69,6 +70,23 @@ def test_the_reference_is_never_changed_and_a_given_pose_is_kept():
 def test_an_estimated_pose_is_refined():
     fit = fit_geometry(replace(portrait(), pose_is_estimated=True), ball_prior(), GEOMETRY)
     assert 0.0 < fit.pose_change_deg < 30.0
+
+
+def test_the_refinement_moves_neither_codes_nor_roughness():
+    prior, p = ball_prior(), portrait()
+    geometry = fit_geometry(p, prior, GEOMETRY)
+    surface = extract_mesh(unlit_head(geometry, prior), ExtractConfig(cell_m=0.01))
+
+    def fitted(steps):
+        # All lobes and highlights: what is decided after the refinement is not the question here.
+        config = replace(APPEARANCE_FIT, steps_refinement=steps, everything=True)
+        return fit_appearance(p, geometry, prior, surface, config)
+
+    short, long = fitted(1), fitted(6)
+    for name in ("z_a", "z_s"):
+        torch.testing.assert_close(getattr(short.head, name), getattr(long.head, name), rtol=0, atol=0)
+    assert short.roughness == long.roughness
+    assert not torch.equal(short.head.refinement.net.out.weight, long.head.refinement.net.out.weight)
 
 
 def test_the_same_seed_gives_the_same_fit():

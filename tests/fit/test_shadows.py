@@ -11,7 +11,7 @@ from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.pixels import PixelRays
 from sira_assets.fit.required import Evidence, needed_lobes, needed_shadows
 from sira_assets.fit.seen_surface import SurfacePoints
-from sira_assets.numerics.srgb import srgb_encode
+from sira_assets.numerics.srgb import srgb_decode, srgb_encode
 
 
 def points(rgb, usable) -> SurfacePoints:
@@ -40,6 +40,19 @@ def test_too_bright_a_model_is_pulled_back_where_the_photo_is_not_clipped():
     error.backward()
     slope = 3 * linear.grad[0]
     torch.testing.assert_close(slope, torch.full((3,), 1.055 / 2.4), rtol=1e-3, atol=0.0)
+
+
+def test_squared_errors_weigh_the_few_pixels_that_are_far_off():
+    rgb = torch.full((4, 3), 0.5)
+    off = torch.tensor([0.0, 0.01, 0.01, 0.3])[:, None].expand(4, 3)
+    seen = points(rgb, torch.ones(4, dtype=torch.bool))
+    linear = srgb_decode(rgb + off)
+    assert float(colour_error(linear, seen)) == pytest.approx(0.08, abs=1e-6)
+    expected = 0.08 + 12 * (2 * 0.01**2 + 0.3**2) / 4
+    assert float(colour_error(linear, seen, squared=12.0)) == pytest.approx(expected, rel=1e-5)
+    # Of a clipped channel, being brighter still costs nothing.
+    clipped = points(torch.ones(1, 3), torch.tensor([False]))
+    assert float(colour_error(torch.full((1, 3), 5.0), clipped, squared=12.0)) == 0.0
 
 
 def evidence(visibility) -> Evidence:
