@@ -147,13 +147,13 @@ def settings_for(
         g = replace(g, steps_appearance=50, steps_codes=100, steps_networks=40, steps_cover=20)
         g = replace(g, rays=600, band_rays=250)
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
-        density, triangles, cell, samples = 0.5, 15000, 0.003, 1
+        density, triangles, cell, samples = 1.0, 15000, 0.003, 1
     elif quality == "standard":
-        density, triangles, cell, samples = 1.0, 30000, 0.002, 2
+        density, triangles, cell, samples = 2.0, 30000, 0.002, 2
     elif quality == "high":
         g = replace(g, steps_codes=400, rays=2000, band_rays=600)
         a = replace(a, steps_refinement=1500, pixels=6000, max_surface=400000)
-        density, triangles, cell, samples, largest = 2.0, 60000, 0.0015, 3, 4096
+        density, triangles, cell, samples, largest = 4.0, 60000, 0.0015, 3, 4096
     else:
         raise InputError(expected="draft, standard or high", received=quality, remedy="choose one of them")
     check_maps(maps)

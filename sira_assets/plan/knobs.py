@@ -86,7 +86,7 @@ def _put_visibility(settings: Settings, rays: Value) -> Settings:
 
 def _texture(settings: Settings) -> int:
     """Texels a side; where the photo decides, what it comes to for a head that fills 512 pixels."""
-    return round(settings.bake.size * (settings.texels_per_pixel or 1.0))
+    return round(settings.bake.size * (settings.texels_per_pixel or 2.0) / 2.0)
 
 
 def _put_texture(settings: Settings, size: Value) -> Settings:

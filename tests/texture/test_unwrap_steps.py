@@ -210,8 +210,8 @@ def test_texture_size_follows_the_photos_pixels(metres_per_unit):
     assert wanted(3900.0) == 1024  # 1007
     assert wanted(4000.0) == 1024  # 1033: less than a hundredth too few
     assert wanted(4100.0) == 2048
-    # Four texels to a wave of 4.5 mm: 459 a side, whatever the photo has; twice that at two a pixel.
-    wave = 0.0045 / metres_per_unit
+    # Two texels to a wave of 2.25 mm: 459 a side, whatever the photo has; twice that at two a pixel.
+    wave = 0.00225 / metres_per_unit
     assert [wanted(f, shortest_wave=wave) for f in (1100.0, 4100.0, 1e4)] == [512, 512, 512]
     assert wanted(1e4, shortest_wave=wave, texels_per_pixel=2.0) == 1024
     assert wanted(400.0, shortest_wave=wave) == LEAST
