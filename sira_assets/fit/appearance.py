@@ -81,7 +81,7 @@ def fit_appearance(
     surface = _seen_surface(portrait, geometry, c, generator)
     caster = Raycaster(surface_canonical) if c.shadows else None
     shadows = FitShadows(caster, c.rays, device=device) if caster is not None else None
-    fit = AppearanceLosses(c, prior, surface, hidden_surface(geometry, surface, generator), shadows)
+    fit = AppearanceLosses(c, prior, surface, hidden_surface(portrait, geometry, generator), shadows)
     record = run_stages(
         _stages(fit, c), fit.state(), seed=c.seed, device=device, checkpoint=checkpoint, pace=pace, report=report
     )

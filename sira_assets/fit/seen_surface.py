@@ -5,6 +5,7 @@ Notation: as in fields/sa_sm.py; network units, canonical frame.
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -14,6 +15,7 @@ from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.pixels import PixelRays, mask_rays
 from sira_assets.render.tracing import sphere_trace
+from sira_assets.scene.canonical import transform_points
 from sira_assets.scene.portrait import Portrait
 
 
@@ -67,21 +69,40 @@ def visible_surface(
 
 @torch.no_grad()
 def hidden_surface(
-    geometry: GeometryFit, surface: SurfacePoints, generator: torch.Generator, count: int = 4096
+    portrait: Portrait, geometry: GeometryFit, generator: torch.Generator, count: int = 4096
 ) -> tuple[Tensor, Tensor]:
-    """x_ref and gamma of surface points that the camera does not see: there the refinement is to be nothing.
+    """x_ref and gamma of surface points of which the photo says nothing: there the refinement is to be nothing.
 
-    Random points of the head's box, brought to the surface by Newton steps and kept where it faces away.
+    Random points of the head's box, brought to the surface by Newton steps and kept where it faces away from the camera
+    or is seen beside the mask, two pixels or more from it; a hole in the mask is bridged by what is around it.
     """
-    low, high = (surface.x.new_tensor(b / UNIT_M) for b in BOUNDS_M)
-    x = low + (high - low) * torch.rand(4 * count, 3, generator=generator, device=surface.x.device)
+    device = geometry.z_sdf.device
+    low, high = (torch.as_tensor(b / UNIT_M, dtype=torch.float32, device=device) for b in BOUNDS_M)
+    x = low + (high - low) * torch.rand(4 * count, 3, generator=generator, device=device)
     for _ in range(6):
         f, gradient, _, _ = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
         x = x - (f / gradient.square().sum(-1).clamp_min(0.25))[:, None] * gradient
     f, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
-    # The camera's direction varies little over a head; points that face away from it are hidden.
-    facing = (nn.functional.normalize(gradient, dim=-1) * surface.view.mean(0)).sum(-1)
-    keep = torch.nonzero((f.abs() < 0.01) & (facing < -0.05))[:, 0][:count]
+    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    away, beside = _unseen(posed, UNIT_M * x.double().cpu().numpy(), gradient.double().cpu().numpy())
+    keep = torch.nonzero((f.abs() < 0.01) & torch.as_tensor(away | beside, device=device))[:, 0][:count]
     if len(keep) == 0:
         keep = torch.arange(min(count, len(x)), device=x.device)
     return x_ref[keep].detach(), gamma[keep].detach()
+
+
+def _unseen(portrait: Portrait, x_m: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) bool each of canonical points: facing away from the camera; seen beside the mask or beyond the picture."""
+    from scipy import ndimage
+
+    centre = transform_points(portrait.canonical_from_world, portrait.camera.world_from_camera[None, :3, 3])
+    to_camera = centre - x_m
+    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(to_camera, axis=1)
+    cosine = (normals * to_camera).sum(1) / np.maximum(lengths, 1e-12)
+    mask = ndimage.binary_dilation(ndimage.binary_fill_holes(portrait.mask), iterations=2)
+    pixel, depth = portrait.camera.project(transform_points(portrait.world_from_canonical, x_m))
+    column, row = np.floor(np.clip(pixel, -1, [portrait.camera.width, portrait.camera.height])).astype(int).T
+    inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1]) & (depth > 0)
+    in_mask = np.zeros(len(x_m), bool)
+    in_mask[inside] = mask[row[inside], column[inside]]
+    return cosine < -0.05, ~in_mask
