@@ -15,6 +15,7 @@ from sira_assets.fields.fitted import load_fitted
 from sira_assets.mesh.extract import extract_mesh
 from sira_assets.numerics.colour import srgb_from_linear
 from sira_assets.render.view import render_view
+from sira_assets.render.visibility_table import surface_visibility
 from sira_assets.scene.bundled import bundled_portrait
 from sira_assets.scene.image import read_image, write_png
 from sira_assets.scene.sg_light import SGLight
@@ -39,7 +40,8 @@ def main(avatar: Path) -> None:
     found = SGLight.from_dict(json.loads((avatar / "lights.json").read_text()))
     world_from_view = portrait.camera.world_from_camera[:3, :3] @ np.diag([1.0, -1.0, -1.0])
     for light in (found, *(light.rotated(world_from_view) for light in LIGHTS.values())):
-        view = render_view(head, mesh, portrait.camera, canonical_from_world, light)
+        shadows = surface_visibility(mesh, light, canonical_from_world)
+        view = render_view(head, mesh, portrait.camera, canonical_from_world, light, shadows=shadows)
         panels.append(srgb_from_linear(view.final))
     rows, columns = np.nonzero(portrait.mask)
     top, left = max(rows.min() - 25, 0), max(columns.min() - 40, 0)
