@@ -131,8 +131,8 @@ def test_every_run_is_a_line_of_the_table(tmp_path):
     ]
 
 
-def test_wrong_usage():
-    command = [sys.executable, str(TOOLS / "measure_tradeoff.py")]
+def test_wrong_usage(tmp_path):
+    command = [sys.executable, str(TOOLS / "measure_tradeoff.py"), "--out", str(tmp_path)]
     assert subprocess.run([*command, "--count", "0"], capture_output=True).returncode == 2
     done = subprocess.run([*command, "nowhere", "--knob", "luck"], capture_output=True, text=True)
     assert done.returncode == 3
