@@ -118,6 +118,13 @@ def chart_labels(faces_uv: np.ndarray, count: int) -> np.ndarray:
     return connected_components(coo_matrix((np.ones(len(a), bool), (a, b)), shape=(count, count)), directed=False)[1]
 
 
+def border_edges(faces_uv: np.ndarray) -> np.ndarray:
+    """(B,) edges that one face alone has, numbered 3 face + corner, the corner being the edge's first."""
+    edges = np.sort(faces_uv[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
+    _, first, times = np.unique((edges[:, 0] << 32) | edges[:, 1], return_index=True, return_counts=True)
+    return first[times == 1]
+
+
 def stretch(mesh: TriangleMesh, uv: np.ndarray, faces_uv: np.ndarray) -> np.ndarray:
     """(F,) ratio >= 1 of the largest to the smallest stretching of the map from each face to the picture.
 
@@ -183,8 +190,7 @@ def measure_atlas(
 
 def _borders(uv: np.ndarray, faces_uv: np.ndarray, chart: np.ndarray, count: int) -> np.ndarray:
     """(count,) length of each chart's border."""
-    edges = np.sort(faces_uv[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
-    _, first, times = np.unique((edges[:, 0] << 32) | edges[:, 1], return_index=True, return_counts=True)
-    border = first[times == 1]
-    length = np.linalg.norm(uv[edges[border, 0]] - uv[edges[border, 1]], axis=1)
-    return np.bincount(chart[border // 3], length, count)
+    border = border_edges(faces_uv)
+    face, corner = border // 3, border % 3
+    length = np.linalg.norm(uv[faces_uv[face, corner]] - uv[faces_uv[face, (corner + 1) % 3]], axis=1)
+    return np.bincount(chart[face], length, count)

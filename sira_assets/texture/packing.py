@@ -12,6 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from sira_assets.texture.atlas import border_edges
+
 # Masks are correlated for the largest charts; the others, few cells wide, lose little by being boxes.
 _MASKED = 64
 _LEAST_CELLS = 6
@@ -91,18 +93,16 @@ def _boxes(points: np.ndarray, chart: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _outlines(points: np.ndarray, faces_uv: np.ndarray, chart: np.ndarray, grid: int) -> list[np.ndarray]:
     """For each chart, points along its border no further apart than a third of a cell at the largest scale."""
-    edges = faces_uv[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key = (edges.min(1) << 32) | edges.max(1)
-    _, first, times = np.unique(key, return_index=True, return_counts=True)
-    border = edges[first[times == 1]]
-    a, b = points[border[:, 0]], points[border[:, 1]]
+    edge = border_edges(faces_uv)
+    border = faces_uv[edge // 3, edge % 3]
+    a, b = points[border], points[faces_uv[edge // 3, (edge + 1) % 3]]
     area = _area(points, faces_uv)
     step = np.sqrt(max(area, 1e-300)) / grid / 3.0
     count = np.maximum(np.ceil(np.linalg.norm(b - a, axis=1) / step).astype(np.int64), 1)
     which = np.repeat(np.arange(len(border)), count)
     share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / count[which]
     along = a[which] + share[:, None] * (b - a)[which]
-    name = chart[border[which, 0]]
+    name = chart[border[which]]
     order = np.argsort(name, kind="stable")
     ends = np.searchsorted(name[order], np.arange(int(chart.max()) + 2))
     return [along[order[i:j]] for i, j in pairwise(ends)]

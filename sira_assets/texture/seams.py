@@ -4,8 +4,10 @@ Notation: a seam point has uv on two charts, u and v; a viewer reads the map bil
 two readings is linear in at most eight texels x: r = sum_k w_k x_k, with w_k negative for those of v. The least change
 of the texels that brings r to zero is -r w / |w|^2; points share texels, so all changes at one texel are averaged and
 the step is taken again (Cimmino 1938; for textures see Liu, Ferguson, Jacobson and Gingold 2017, DOI
-10.1145/3130800.3130897). Only points that differ by more than `TOLERANCE` move anything: folds, where a texel beyond
-the border has found another part of the surface, and charts narrower than a texel.
+10.1145/3130800.3130897). A texel keeps within what the seam points that read it show on either side: along a seam that
+an edge of the picture crosses, steps that feed each other would else draw the edge out by more than a texel. Only
+points that differ by more than `TOLERANCE` move anything: folds, where a texel beyond the border has found another part
+of the surface, and charts narrower than a texel.
 """
 
 from dataclasses import dataclass
@@ -84,6 +86,8 @@ def even_seams(values: np.ndarray, seams: Seams) -> np.ndarray:
     before = flat[touched].astype(np.float64)
     x = before.copy()
     squares = (seams.weights**2).sum(1)
+    low, high = _range_shown(before, place, seams.weights)
+    low, high = low - TOLERANCE * scale, high + TOLERANCE * scale
     for _ in range(PASSES):
         difference = np.einsum("nk,nkc->nc", seams.weights, x[place])
         # A point of the very same texels on both sides differs nowhere and has no say.
@@ -98,9 +102,24 @@ def even_seams(values: np.ndarray, seams: Seams) -> np.ndarray:
             change = np.abs(weights) * weights * step[:, channel, None]
             moved = np.bincount(at.ravel(), change.ravel(), minlength=len(x))
             x[:, channel] += np.divide(moved, share, out=np.zeros_like(moved), where=share > 1e-12)
+        np.clip(x, low, high, out=x)
     changed = (x != before).any(1)
     if not changed.any():
         return values
     out = flat.copy()
     out[touched[changed]] = x[changed].clip(flat.min(), flat.max())
     return out.reshape(values.shape)
+
+
+def _range_shown(x: np.ndarray, place: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest value (M, C) among the texels of any seam point that reads texel m, itself included."""
+    read = weights != 0.0
+    shown = x[place]
+    least = np.where(read[..., None], shown, np.inf).min(1)
+    greatest = np.where(read[..., None], shown, -np.inf).max(1)
+    low, high = x.copy(), x.copy()
+    for k in range(place.shape[1]):
+        some = read[:, k]
+        np.minimum.at(low, place[some, k], least[some])
+        np.maximum.at(high, place[some, k], greatest[some])
+    return low, high

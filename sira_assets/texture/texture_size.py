@@ -10,7 +10,7 @@ from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.camera import Camera
 
 # What packed atlases of heads use of the square (tools/measure_unwrap.py: 0.57 to 0.67).
-_UTILISATION = 0.6
+USUAL_UTILISATION = 0.6
 LEAST, MOST = 256, 4096
 # Along the shortest wave that the albedo holds, where a pixel has one texel; a reading between texels blurs a wave of
 # fewer than four. At two texels a pixel, exported file against field and against photo: a portrait of 1200 x 1600
@@ -57,6 +57,6 @@ def photo_texture_size(
     middle = depth[order[np.searchsorted(reached, 0.5 * reached[-1])]]
     footprint = max(middle / np.sqrt(k[0, 0] * k[1, 1]), shortest_wave / TEXELS_PER_WAVE) / texels_per_pixel
     area = 0.5 * np.linalg.norm(cross, axis=1).sum()
-    wanted = np.sqrt(area / _UTILISATION) / footprint
+    wanted = np.sqrt(area / USUAL_UTILISATION) / footprint
     # A hundredth above a power of two is not worth four times the texels.
     return int(np.clip(2 ** np.ceil(np.log2(max(wanted, 1.0)) - 0.015), LEAST, MOST))

@@ -2,7 +2,8 @@
 
 Notation: V vertices, F faces, T atlas vertices (see `texture.atlas`). The way: what unwrappers choke on is taken away
 (`sound_surface`), the rest is split into parts, each method gets the parts that are left and the time that is left,
-box charts take what nobody could, faces that overlap get charts of their own, and all charts are packed.
+box charts take what nobody could, faces that overlap or stand at a notch (`notches`) get charts of their own, and all
+charts are packed.
 """
 
 import time
@@ -13,14 +14,18 @@ import numpy as np
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.texture.atlas import Atlas, chart_labels, measure_atlas, signed_uv_areas
 from sira_assets.texture.box_charts import box_charts
+from sira_assets.texture.notches import faces_at_notches
 from sira_assets.texture.overlap import losers, overlapping_pairs
 from sira_assets.texture.packing import pack_charts
 from sira_assets.texture.sound_surface import SoundSurface, cut_open, face_pieces, sound_surface
+from sira_assets.texture.texture_size import USUAL_UTILISATION
 from sira_assets.texture.unwrap_cost import predicted_seconds
 from sira_assets.texture.unwrap_parts import Part, split_parts, unwrap_parts
 
 # UVAtlas never ends on a soup of hundreds of loose triangles.
 _UVATLAS_PIECES = 30
+# A bank that is taken away has another bank behind it, most often far enough from the first.
+_NOTCH_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ def unwrap(mesh: TriangleMesh, config: UnwrapConfig = UnwrapConfig()) -> Atlas:
     start, start_cpu = time.monotonic(), time.process_time()
     sound = sound_surface(mesh)
     charts, method, attempts, predicted = _charts(sound, config, start, start_cpu)
-    charts = _without_overlap(sound, charts)
+    charts = _without_notches(sound, _without_overlap(sound, charts), config.texture_size)
     chart = chart_labels(charts.faces_uv, len(charts.uv))
     packed = pack_charts(charts.uv, charts.faces_uv, chart, config.texture_size, config.padding)
     uv, faces_uv = _put_back(mesh, sound, packed.uv, charts.faces_uv)
@@ -177,12 +182,28 @@ def _without_overlap(sound: SoundSurface, charts: _Charts) -> _Charts:
     chart = chart_labels(faces_uv, len(charts.uv))[faces_uv[:, 0]]
     # Charts by box projection are free of overlap already, but looking again costs less than remembering which.
     pairs = overlapping_pairs(charts.uv, faces_uv, chart)
-    wrong = losers(pairs, len(faces_uv)) | (signed_uv_areas(charts.uv, faces_uv) <= 0.0)
-    if not wrong.any():
+    return _in_boxes(sound, charts, losers(pairs, len(faces_uv)) | (signed_uv_areas(charts.uv, faces_uv) <= 0.0))
+
+
+def _without_notches(sound: SoundSurface, charts: _Charts, size: int) -> _Charts:
+    """Where a chart all but touches itself, faces of one bank get box charts."""
+    area = 0.5 * np.linalg.norm(face_cross_products(sound.vertices, sound.faces), axis=1).sum()
+    texel = float(np.sqrt(area / USUAL_UTILISATION)) / size
+    for _ in range(_NOTCH_ROUNDS):
+        wrong = faces_at_notches(charts.uv, charts.faces_uv, sound.vertices, sound.faces, texel)
+        if not wrong.any():
+            break
+        charts = _in_boxes(sound, charts, wrong)
+    return charts
+
+
+def _in_boxes(sound: SoundSurface, charts: _Charts, some: np.ndarray) -> _Charts:
+    """The same charts, but some faces (F,) in box charts of their own."""
+    if not some.any():
         return charts
-    members = np.flatnonzero(wrong)
+    members = np.flatnonzero(some)
     uv, own = box_charts(sound.vertices, sound.faces[members])
-    return _joined([(np.flatnonzero(~wrong), charts.uv, faces_uv[~wrong]), (members, uv, own)], len(faces_uv))
+    return _joined([(np.flatnonzero(~some), charts.uv, charts.faces_uv[~some]), (members, uv, own)], len(some))
 
 
 def _put_back(

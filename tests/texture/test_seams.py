@@ -93,3 +93,22 @@ def test_readings_are_weighted_means(unwrapped):
     none = replace(seams, texels=seams.texels[:0], weights=seams.weights[:0])
     noise = np.random.default_rng(3).random((SIZE, SIZE), np.float32)
     assert even_seams(noise, none) is noise
+
+
+def test_no_texel_leaves_what_its_seam_points_show(unwrapped):
+    """A picture of edges: evening moves no edge further than the texels that one reading takes in."""
+    mesh, atlas = unwrapped
+    row, column = np.indices((SIZE, SIZE))
+    checker = ((row // 7 + column // 7) % 2).astype(np.float32)
+    seams = find_seams(mesh, atlas, SIZE)
+    even = even_seams(checker, seams).reshape(-1)
+    checker, read_by = checker.reshape(-1), np.abs(seams.weights) > 0
+    alike = np.array([len(set(checker[t[w]])) == 1 for t, w in zip(seams.texels, read_by, strict=True)])
+    # Texels all of whose readings, on both sides, are of one colour.
+    mixed = np.zeros(SIZE * SIZE, bool)
+    mixed[seams.texels[~alike][read_by[~alike]]] = True
+    plain = np.setdiff1d(seams.texels[read_by], np.flatnonzero(mixed))
+    assert len(plain) > 100
+    assert (even != checker).sum() > 100
+    # One tolerance either way, at most 0.5 / 255.
+    np.testing.assert_allclose(even[plain], checker[plain], atol=0.5 / 255)
