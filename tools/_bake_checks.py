@@ -61,33 +61,63 @@ def seam_points(mesh: TriangleMesh, atlas: Atlas, per_edge: int = 5) -> tuple[np
     return sides[0], sides[1]
 
 
-def surface_points(mesh: TriangleMesh, atlas: Atlas, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Random points (N, 3) of the surface, even in area, and their uv."""
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of a mesh.
+
+    Parameters
+    ----------
+    face : (N,) that holds each
+    x : (N, 3)
+    uv : (N, 2)
+    """
+
+    face: np.ndarray
+    x: np.ndarray
+    uv: np.ndarray
+
+    def some(self, chosen: np.ndarray, x: np.ndarray) -> "SurfacePoints":
+        """Those chosen, on another surface."""
+        return SurfacePoints(self.face[chosen], x[chosen], self.uv[chosen])
+
+
+def surface_points(mesh: TriangleMesh, atlas: Atlas, count: int, seed: int = 0) -> SurfacePoints:
+    """Random points, even in area."""
     rng = np.random.default_rng(seed)
     corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     face = rng.choice(len(area), count, p=area / area.sum())
     weights = rng.dirichlet(np.ones(3), count)[..., None]
-    return (corners[face] * weights).sum(1), (atlas.uv[atlas.faces_uv[face]] * weights).sum(1)
+    return SurfacePoints(face, (corners[face] * weights).sum(1), (atlas.uv[atlas.faces_uv[face]] * weights).sum(1))
 
 
-def bake_figures(texture: np.ndarray, mesh: TriangleMesh, atlas: Atlas, exact: np.ndarray, uv: np.ndarray) -> dict:
-    """Figures of one baked map of the known material.
+def longest_side(mesh: TriangleMesh, atlas: Atlas, size: int) -> np.ndarray:
+    """(F,) metres that a texel's side covers on each face, where it is stretched most."""
+    x, uv = mesh.vertices[mesh.faces], atlas.uv[atlas.faces_uv]
+    dx, duv = (np.stack([c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]], -1) for c in (x, uv))
+    return np.linalg.svd(dx @ np.linalg.pinv(duv), compute_uv=False)[:, 0] / size
 
-    Parameters
-    ----------
-    texture : (S, S, 3)
-    exact : (N, 3) points of the surface that the map is to show at uv (N, 2)
+
+def bake_figures(texture: np.ndarray, mesh: TriangleMesh, atlas: Atlas, points: SurfacePoints) -> dict:
+    """Figures of one baked map (S, S, 3) of the known material, held to what it is to show at `points`.
+
+    Notes
+    -----
+    A texel is as large as its chart is stretched there: "texels" are of the mean size over the atlas, "own texels" of
+    the longest side that the texel itself has on the surface.
     """
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     texel = float(np.sqrt(area / atlas.report.utilisation) / len(texture))
+    exact, uv = points.x, points.uv
     true = known_colours(exact)
     one, other = seam_points(mesh, atlas)
     seam = np.abs(bilinear(texture, one) - bilinear(texture, other))[:, 0]
     wave = np.abs(bilinear(texture, uv)[:, 0] - true[:, 0])
     wrong = np.abs(holding(texture, uv)[:, 1] - true[:, 1]) > 0.5
-    to_plane = np.abs(np.mod((exact + _SHIFT_M) / CUBE_M + 0.5, 1.0) - 0.5).min(1) * CUBE_M / texel
+    to_plane = np.abs(np.mod((exact[wrong] + _SHIFT_M) / CUBE_M + 0.5, 1.0) - 0.5).min(1) * CUBE_M
+    side = longest_side(mesh, atlas, len(texture))[points.face]
+    own = to_plane / side[wrong]
     return {
         "texel, mm": 1e3 * texel,
         "seam points": len(seam),
@@ -96,7 +126,10 @@ def bake_figures(texture: np.ndarray, mesh: TriangleMesh, atlas: Atlas, exact: n
         "seam points within 1 code, %": 100 * float((seam <= 1 / 255).mean()),
         "wave off, in texels of its steepest slope: 99 %": float(np.percentile(wave, 99) / (np.pi / WAVE_M * texel)),
         "wave off, in texels of its steepest slope: greatest": float(wave.max() / (np.pi / WAVE_M * texel)),
+        "wave off, in own texels of its steepest slope: greatest": float((wave / side).max() / (np.pi / WAVE_M)),
         "checker wrong, % of points": 100 * float(wrong.mean()),
-        "checker wrong furthest from an edge, texels": float(to_plane[wrong].max(initial=0.0)),
-        "checker wrong beyond one texel, points": int((to_plane[wrong] > 1.0).sum()),
+        "checker wrong furthest from an edge, texels": float(to_plane.max(initial=0.0)) / texel,
+        "checker wrong furthest from an edge, own texels": float(own.max(initial=0.0)),
+        "checker wrong beyond one texel, points": int((to_plane > texel).sum()),
+        "checker wrong beyond one own texel, points": int((own > 1.0).sum()),
     }

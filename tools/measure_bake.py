@@ -84,15 +84,14 @@ def body(arguments: argparse.Namespace) -> int:
     config = BakeConfig(arguments.size, arguments.samples, ("diffuse",))
     texture = bake(known, mesh, atlas, light, np.eye(4), config).diffuse
     spent = {"seconds": time.monotonic() - started, "CPU seconds": time.process_time() - cpu}
-    points, uv = surface_points(mesh, atlas, 100_000)
-    moved = project_points(head, points, ProjectConfig(0.003, 2e-6, 4))
-    reached = np.abs(moved.residual_m) < 2e-5
-    there = (mesh, atlas, moved.points[reached], uv[reached])
+    points = surface_points(mesh, atlas, 100_000)
+    moved = project_points(head, points.x, ProjectConfig(0.003, 2e-6, 4))
+    there = (mesh, atlas, points.some(np.abs(moved.residual_m) < 2e-5, moved.points))
     figures["ours"] = {**spent, **bake_figures(texture, *there)}
     if arguments.open3d:
         texture, spent = open3d_bake(mesh, atlas, arguments.size)
         # It bakes the mesh's own surface, so that is what it is held to.
-        figures["Open3D"] = {**spent, **bake_figures(texture, mesh, atlas, points, uv)}
+        figures["Open3D"] = {**spent, **bake_figures(texture, mesh, atlas, points)}
     if arguments.blender:
         texture, spent = blender_bake(arguments.blender, mesh, atlas, surface, arguments.size, arguments.samples**2)
         figures["Blender"] = {**spent, **bake_figures(texture, *there)}

@@ -20,9 +20,7 @@ def two_banks(gap, lift):
         [[-1, 0], [0, 0], [10, 0], [10, 1], [0, 1], [0, top], [10, top], [10, top + 1], [0, top + 1], [-1, top + 1]],
         float,
     )
-    faces = np.array(
-        [[1, 2, 3], [1, 3, 4], [5, 6, 7], [5, 7, 8], [0, 1, 4], [0, 4, 5], [0, 5, 8], [0, 8, 9]], np.int64
-    )
+    faces = np.array([[1, 2, 3], [1, 3, 4], [5, 6, 7], [5, 7, 8], [0, 1, 4], [0, 4, 5], [0, 5, 8], [0, 8, 9]], np.int64)
     vertices = np.column_stack([uv, np.zeros(len(uv))])
     vertices[[6, 7], 2] = lift
     return uv, vertices, faces
