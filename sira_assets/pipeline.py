@@ -123,6 +123,7 @@ def settings_for(
     open_bust: bool = False,
     shadows: bool = True,
     everything: bool = False,
+    reproducible: bool = False,
     seed: int = 0,
 ) -> Settings:
     """The named presets: how accuracy is paid for with time.
@@ -136,6 +137,7 @@ def settings_for(
     open_bust : leave off the caps where the head's box cuts the shoulders
     shadows : whether the head casts shadows on itself, in the fit, in the bake and in the render
     everything : see `modelling_everything`
+    reproducible : the same bytes from the same seed and threads: charts by xatlas, for UVAtlas draws its own seed
 
     Raises
     ------
@@ -168,7 +170,7 @@ def settings_for(
         max_triangles=max_triangles or triangles,
         tolerance_mm=tolerance_mm,
         levels_of_detail=levels_of_detail,
-        unwrap=UnwrapConfig(texture_size=size),
+        unwrap=UnwrapConfig(texture_size=size, methods=("xatlas",) if reproducible else UnwrapConfig.methods),
         bake=BakeConfig(size=size, samples=samples, maps=tuple(dict.fromkeys((*DEFAULT_MAPS, *maps)))),
         texels_per_pixel=None if texture_size else density,
         largest_photo=largest,

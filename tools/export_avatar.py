@@ -76,6 +76,11 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="keep lobes, highlights, shadows that the photo can do without; 1024 texels a side unless asked",
     )
+    p.add_argument(
+        "--reproducible",
+        action="store_true",
+        help="the same bytes each time: charts by xatlas, which cuts more of them (UVAtlas draws its own seed)",
+    )
     p.add_argument("--specular-form", choices=["color", "factor"], default="color", help="where the GLB keeps F0")
     p.add_argument("--quantize", action="store_true", help="GLB geometry as integers: half the size, 0.01 mm steps")
     p.add_argument("--jpeg", type=int, metavar="QUALITY", help="GLB colours as JPEG, 1 to 100 (default: PNG)")
@@ -142,6 +147,7 @@ def body(args: argparse.Namespace) -> int:
         open_bust=args.open_bust,
         shadows=args.shadows,
         everything=args.everything,
+        reproducible=args.reproducible,
         seed=args.seed,
     )
     export = ExportConfig(args.specular_form, quantise=args.quantize, jpeg_quality=args.jpeg, usd=args.usd)

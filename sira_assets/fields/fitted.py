@@ -11,15 +11,14 @@ from pathlib import Path
 import torch
 from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from sira_assets.atomic import replacing
 from sira_assets.errors import InputError
 from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
 from sira_assets.fields.mlp import MLP, UNIT_M
 from sira_assets.fields.prior import freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
+from sira_assets.fields.tensor_file import write_tensors
 
 
 @dataclass(frozen=True)
@@ -123,8 +122,7 @@ def save_fitted(head: FittedHead, path: Path, header: dict | None = None) -> Non
     tensors |= {"z_sdf": head.z_sdf, "z_a": head.z_a, "z_s": head.z_s}
     metadata = {n: json.dumps(asdict(m.config)) for n, m in modules.items() if m is not None}
     metadata |= {"specular_scale": json.dumps(head.specular_scale), "header": json.dumps(header or {})}
-    with replacing(path) as temporary:
-        save_file({k: v.detach().cpu().float().contiguous().clone() for k, v in tensors.items()}, temporary, metadata)
+    write_tensors(path, {k: v.float() for k, v in tensors.items()}, metadata)
 
 
 def load_fitted(path: Path, *, device: str | torch.device = "cpu") -> FittedHead:

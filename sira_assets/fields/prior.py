@@ -12,13 +12,12 @@ from pathlib import Path
 import torch
 from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from sira_assets.atomic import replacing
 from sira_assets.errors import InputError
 from sira_assets.fields.af_sm import AppearanceConfig, AppearanceFactorModel
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
+from sira_assets.fields.tensor_file import write_tensors
 
 CODE_NAMES = ("z_sdf", "z_r", "z_a", "z_s", "z_l")
 
@@ -89,8 +88,7 @@ def save_prior(prior: Prior, path: Path, description: dict) -> None:
         "appearance": json.dumps(asdict(prior.appearance.config)),
         "description": json.dumps(description),
     }
-    with replacing(path) as temporary:
-        save_file({k: v.detach().cpu().float().contiguous() for k, v in tensors.items()}, temporary, header)
+    write_tensors(path, {k: v.float() for k, v in tensors.items()}, header)
 
 
 def load_prior(path: Path | None = None) -> Prior:

@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from sira_assets import __version__
-from sira_assets.atomic import replacing
 from sira_assets.errors import InputError
 from sira_assets.fields.fitted import load_fitted, save_fitted
 from sira_assets.fields.prior import CODE_NAMES, Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
+from sira_assets.fields.tensor_file import write_tensors
 from sira_assets.fit.appearance import AppearanceFit
 from sira_assets.fit.decision import FitDecision
 from sira_assets.fit.geometry import GeometryFit
@@ -50,8 +49,7 @@ def keep_geometry(fit: GeometryFit, folder: Path, key: str) -> None:
         "warnings": fit.warnings,
         "seconds": fit.seconds,
     }
-    with replacing(folder / "geometry.safetensors") as temporary:
-        save_file({k: v.cpu().contiguous() for k, v in tensors.items()}, temporary, {"facts": json.dumps(facts)})
+    write_tensors(folder / "geometry.safetensors", tensors, {"facts": json.dumps(facts)})
 
 
 def kept_geometry(folder: Path, key: str, *, device: str | torch.device = "cpu") -> GeometryFit | None:

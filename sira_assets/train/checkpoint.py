@@ -8,11 +8,11 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 
-from sira_assets.atomic import replacing
 from sira_assets.errors import InputError
+from sira_assets.fields.tensor_file import write_tensors
 
 
 def save_checkpoint(
@@ -37,8 +37,7 @@ def save_checkpoint(
         "seconds": repr(float(seconds)),
         "facts": facts,
     }
-    with replacing(path) as temporary:
-        save_file({key: value.detach().cpu().contiguous() for key, value in flat.items()}, temporary, header)
+    write_tensors(path, flat, header)
 
 
 def read_header(path: Path) -> dict[str, str] | None:

@@ -177,3 +177,25 @@ def test_the_bundled_portrait_becomes_an_avatar(tmp_path):
     import torch
 
     assert abs(load_fitted(out / "field.safetensors").sdf(torch.zeros(1, 3))).item() < 0.1
+
+
+@pytest.mark.slow
+def test_a_reproducible_run_gives_the_same_bytes(tmp_path):
+    from dataclasses import replace
+
+    from small_fits import tiny_settings
+
+    from sira_assets.delivery import deliver
+    from sira_assets.pipeline import run, settings_for
+    from sira_assets.scene.bundled import bundled_portrait
+
+    unwrap = replace(tiny_settings().unwrap, methods=settings_for("draft", reproducible=True).unwrap.methods)
+    settings = replace(tiny_settings(seed=3), unwrap=unwrap)
+    for name in ("one", "other"):
+        deliver(run(bundled_portrait(), settings), settings, tmp_path / name)
+    # Reports say how many seconds it took.
+    files = [p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file()]
+    files = [f for f in files if f.stem != "report"]
+    assert len(files) > 15
+    different = [str(f) for f in files if (tmp_path / "one" / f).read_bytes() != (tmp_path / "other" / f).read_bytes()]
+    assert different == []
