@@ -124,12 +124,18 @@ def curve_of(settings: Sequence[Setting], knob):
     knob : of `plan.knobs`; only the stages it names are given ratios, for the others differ by noise alone
     """
     from sira_assets.plan.figures import KnobCurve, Point
+    from sira_assets.plan.knobs import place
 
     rows = [s for s in settings if s.knob == knob.name]
     if len(rows) < 2:
         return None
-    order = {v: i for i, v in enumerate(knob.values)}
-    rows.sort(key=lambda s: order.get(s.value, len(order)))
+
+    def rank(setting: Setting) -> float:
+        first, second, share = place(knob.values, setting.value)
+        return first + share * (second - first)
+
+    # The reference's own value may lie between those of the knob; a curve is made monotone in this order.
+    rows.sort(key=lambda s: (rank(s), s.ratio))
     points = tuple(
         Point(
             row.value,

@@ -95,7 +95,7 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     Parameters
     ----------
     seconds : wall-clock, photo to written avatar
-    settings : what no knob touches is kept from them
+    settings : a preset; what no knob touches is kept from it
     here : this machine's benchmark
 
     Raises
@@ -105,13 +105,18 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     Notes
     -----
     From every knob's cheapest value upwards, always the step that buys most per second and still fits (the greedy rule
-    for a knapsack of convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503).
+    for a knapsack of convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503). Then, cheapest first, the
+    preset's own value of any knob that stands below it, where time is left: the curves are of a few scenes, and what
+    those had no use for this one may need.
     """
     offers = {k: _offers(k, curve, figures, here) for k in KNOBS if (curve := figures.curve(k.name)) is not None}
     level = dict.fromkeys(offers, 0)
-    at = lambda levels: {k.name: offers[k][i] for k, i in levels.items()}  # noqa: E731
-    total = lambda levels: sum(s.seconds for s in _predicted(at(levels), figures, here)[0])  # noqa: E731
-    limit, now = PLANNED_SHARE * seconds, total(level)
+
+    def total(at: dict[Knob, Position]) -> float:
+        return sum(s.seconds for s in _predicted({k.name: p for k, p in at.items()}, figures, here)[0])
+
+    chosen = {k: offers[k][0] for k in offers}
+    limit, now = PLANNED_SHARE * seconds, total(chosen)
     if now > limit:
         raise InputError(
             expected=f"a budget that this machine can keep: {np.ceil(now / PLANNED_SHARE):.0f} s or more",
@@ -123,19 +128,26 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
         for k in offers:
             if level[k] + 1 >= len(offers[k]):
                 continue
-            raised = level | {k: level[k] + 1}
-            cost = total(raised)
+            raised = offers[k][level[k] + 1]
+            cost = total(chosen | {k: raised})
             losses = figures.curve(k.name).losses()
-            gain = _between(losses, offers[k][level[k]]) - _between(losses, offers[k][level[k] + 1])
+            gain = _between(losses, chosen[k]) - _between(losses, raised)
             rate = gain / max(cost - now, 1e-6)
             if cost <= limit and rate > best_rate:
                 best, best_rate = k, rate
         if best is None:
             break
         level[best] += 1
-        now = total(level)
-    for k in offers:
-        settings = k.put(settings, _value(k, offers[k][level[k]], figures.curve(k.name)))
+        chosen[best] = offers[best][level[best]]
+        now = total(chosen)
+    preset = {k: _position(k, k.read(settings), figures.curve(k.name)) for k in offers}
+    for k in sorted(offers, key=lambda k: total(chosen | {k: preset[k]})):
+        losses = figures.curve(k.name).losses()
+        no_worse = _between(losses, preset[k]) <= _between(losses, chosen[k])
+        if no_worse and now < (cost := total(chosen | {k: preset[k]})) <= limit:
+            chosen[k], now = preset[k], cost
+    for k, position in chosen.items():
+        settings = k.put(settings, _value(k, position, figures.curve(k.name)))
     return plan_of(f"{seconds:g} s", settings, figures, here, seconds)
 
 

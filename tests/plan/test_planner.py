@@ -86,8 +86,21 @@ def test_noise_buys_nothing():
     f = figures()
     noisy = [replace(p, losses=(("bake_rms", 5.0 if p.value == 2048 else 0.0),)) for p in f.curves[2].points]
     f = replace(f, curves=(*f.curves[:2], KnobCurve("texture size", tuple(noisy))))
-    plan = plan_budget(600.0, settings_for("standard"), f, BENCH)
+    plan = plan_budget(600.0, knob("texture size").put(settings_for("standard"), 256), f, BENCH)
     assert knob("texture size").read(plan.settings) == 256
+
+
+def test_time_that_is_left_buys_the_presets_own_values():
+    """A knob that the measured scenes had no use for: another scene may have."""
+    f = figures()
+    useless = [replace(p, losses=(("bake_rms", 0.0),)) for p in f.curves[2].points]
+    f = replace(f, curves=(*f.curves[:2], KnobCurve("texture size", tuple(useless))))
+    sizes = [
+        knob("texture size").read(plan_budget(t, settings_for("standard"), f, BENCH).settings) for t in (60.0, 600.0)
+    ]
+    assert sizes == [256, knob("texture size").read(settings_for("standard"))]
+    # And never more than the preset's.
+    assert knob("geometry steps").read(plan_budget(6000.0, settings_for("standard"), f, BENCH).settings) < 2.01
 
 
 def test_too_little_time_is_refused_with_what_it_would_take():

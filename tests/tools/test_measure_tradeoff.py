@@ -122,6 +122,20 @@ def test_a_curve_has_its_own_stages_only_and_its_values_in_order():
     assert [p.ratio("bake") for p in curve.points] == [1.0, 1.0, 1.0]  # the knob does not touch it: noise
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "others"), [("geometry steps", 0.3, (0.25, 0.5)), ("extraction cell", 2.5, (3.0, 2.0))]
+)
+def test_a_reference_between_the_values_stands_between_them(name, value, others):
+    """Some knobs grow towards dearer values, some fall."""
+    from sira_assets.plan.knobs import knob
+
+    base, *rows = compared(
+        [record(REFERENCE, "draft", 10.0, 1.0), *(record(name, v, 10.0 + k, 1.0) for k, v in enumerate(others))]
+    )
+    curve = curve_of([*rows, replace(base, knob=name, value=value)], knob(name))
+    assert [p.value for p in curve.points] == [others[0], value, others[1]]
+
+
 def test_every_run_is_a_line_of_the_table(tmp_path):
     write_csv([record(REFERENCE, "standard", 10.0, 1.0), record("lobes", 3, 5.0, 2.0)], tmp_path / "runs.csv")
     rows = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
