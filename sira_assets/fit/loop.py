@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from sira_assets.fit.pace import Pace, StageKept, progress, stage_ends
+from sira_assets.fit.pace import Pace, StageKept, progress
 from sira_assets.train.batches import step_generator
 from sira_assets.train.checkpoint import load_checkpoint, read_header, save_checkpoint
 from sira_assets.train.guard import GuardedOptimiser
@@ -118,7 +118,6 @@ def run_stages(
             start, ends = ends, ends + stage.steps
             if done >= ends:
                 continue
-            end_by = stage_ends(pace, [s.work * s.steps for s in stages[number:]]) if pace is not None else 0.0
             if done == start:
                 stage.begin()
             stage.enter()
@@ -127,7 +126,8 @@ def run_stages(
                 load_checkpoint(checkpoint.path, {"state": state}, optimiser, checkpoint.key)
             guard = GuardedOptimiser(optimiser)
             made, entered = 0, done - start
-            for p in progress(stage.steps, first=done - start, pace=pace, ends_at=end_by):
+            work = [s.work * s.steps for s in stages[number:]]
+            for p in progress(stage.steps, first=done - start, pace=pace, work=work):
                 # Exact where there is no pace: the step that p was made from.
                 step = int(p * stage.steps + 1e-6)
                 done = start + step

@@ -50,14 +50,21 @@ def stage_ends(pace: Pace, work: Sequence[float]) -> float:
     return now + share * max(pace.ends_at - now, 0.0)
 
 
-def progress(steps: int, *, first: int = 0, pace: Pace | None = None, ends_at: float = 0.0) -> Iterator[float]:
+def progress(
+    steps: int, *, first: int = 0, pace: Pace | None = None, work: Sequence[float] = (1.0,)
+) -> Iterator[float]:
     """p before each step of a stage; the time between two values asked for is taken as one step's.
 
     Parameters
     ----------
     steps : planned
     first : steps done before, without a pace only
-    ends_at : when the stage is to end, on the pace's clock
+    work : of this stage and of those behind it, see `stage_ends`; with a pace only
+
+    Notes
+    -----
+    The first step is every stage's setting out (a geometry fit traces all rays in it): the time is shared out after it,
+    or a short stage would be over before its second step.
     """
     if pace is None:
         yield from (step / steps for step in range(first, steps))
@@ -65,6 +72,7 @@ def progress(steps: int, *, first: int = 0, pace: Pace | None = None, ends_at: f
     if not steps:
         return
     yield 0.0
+    ends_at = stage_ends(pace, work)
     # The first step does what the others do now and then only (rays are traced anew), so it is left out of the mean.
     stamps = deque([pace.clock()], maxlen=WINDOW + 1)
     done, p = 1, 1.0 / steps

@@ -26,7 +26,7 @@ def played(steps, seconds_of, ends_at, most=1.0):
     clock = Clock()
     pace = Pace(ends_at, most, clock)
     out = []
-    for p in progress(steps, pace=pace, ends_at=ends_at):
+    for p in progress(steps, pace=pace):
         clock.now += seconds_of(len(out))
         out.append(p)
     return out, clock.now
@@ -114,6 +114,22 @@ def test_stages_are_over_in_time_and_enter_every_planned_step(seconds, ends_at):
     assert all(k == StageKept(k.name, 60, k.done) for k in kept)
     if ends_at == 40.0 and seconds == 1.0:
         assert kept[1].done == pytest.approx(3 * kept[0].done, abs=3)  # three times the work planned
+
+
+def test_a_short_stage_outlives_a_slow_first_step():
+    """Two stages, one tenth of the work in the first: setting out takes longer than its share of the time."""
+    clock, made = Clock(), []
+    pace = Pace(100.0, clock=clock)
+    for work in ([10.0, 90.0], [90.0]):
+        steps = 0
+        for _ in progress(100, pace=pace, work=work):
+            clock.now += 0.2 if steps else 20.0
+            steps += 1
+        made.append(steps)
+    # A tenth of the 80 s after the first step; then all that is left after another of them.
+    assert made[0] == pytest.approx(8.0 / 0.2, abs=2)
+    assert made[1] == 100
+    assert clock.now == pytest.approx(28.0 + 20.0 + 99 * 0.2, abs=0.5)
 
 
 def test_a_pace_with_time_enough_is_the_plain_fit():
