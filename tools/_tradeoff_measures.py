@@ -47,9 +47,21 @@ def read_measured(folder: Path) -> MeasuredScene:
 
 
 def shape_accuracy(surface, canonical_from_world: np.ndarray, scene: MeasuredScene) -> dict[str, float]:
-    """face_mm of the fitted surface (canonical metres), where the scene has a truth."""
-    face = None if scene.truth is None else face_mm(surface.transformed(np.linalg.inv(canonical_from_world)), scene)
-    return {} if face is None else {"face_mm": float(face)}
+    """bare_percent of the fitted surface (canonical metres), and face_mm where the scene has a truth."""
+    world = surface.transformed(np.linalg.inv(canonical_from_world))
+    face = None if scene.truth is None else face_mm(world, scene)
+    out = {"bare_percent": bare_percent(world, scene.portrait.camera, scene.portrait.mask)}
+    return out if face is None else out | {"face_mm": float(face)}
+
+
+def bare_percent(mesh_world, camera, mask: np.ndarray) -> float:
+    """Share of a mask's pixels through whose centres no surface is seen."""
+    from sira_assets.mesh.raycast import Raycaster
+
+    rows, columns = np.nonzero(mask)
+    return 100.0 * float(
+        (~Raycaster(mesh_world).cast(*camera.rays_world(np.stack([columns, rows], 1) + 0.5)).hit).mean()
+    )
 
 
 def picture_accuracy(journey, scene: MeasuredScene) -> dict[str, float]:

@@ -175,6 +175,7 @@ def tolerance(field, tolerance_mm: float, *, simplify: bool) -> dict:
         "cell_mm": 1e3 * report.cell_m,
         "evaluations": report.evaluations,
         "split_vertices": report.split_vertices,
+        "lost_faces": report.lost_faces,
         "watertight": topology(mesh).watertight,
     }
 

@@ -36,8 +36,11 @@ def refine_mesh(
     max_triangles: int = 20_000_000,
     margin_m: float = 0.0,
     device: str = "cpu",
-) -> TriangleMesh:
+) -> tuple[TriangleMesh, int]:
     """Split triangles of a mesh on the zero set until their middles stand within `tolerance_m` of it.
+
+    Splitting cannot mend a mesh that joins what the zero set keeps apart, such as two nostrils through a septum thinner
+    than the lattice's cell: its faces there are counted as lost, and left.
 
     Parameters
     ----------
@@ -48,6 +51,7 @@ def refine_mesh(
     -------
     TriangleMesh : closed where `mesh` is, vertices of `mesh` first, unmoved where they are on the zero set; field
         normals at moved and new ones.
+    int : lost faces, none of whose corners came within the tolerance of the zero set
 
     Raises
     ------
@@ -69,12 +73,17 @@ def refine_mesh(
         fresh = np.zeros(len(edges), bool)
         fresh[face_edge[untested].reshape(-1)] = True
         fresh &= ~np.isin(keys, tested)
+        # Where no corner could be brought to the zero set, smaller faces cannot be either: the lattice missed a wall or
+        # a gap there, and splitting would go on until the last pass without coming nearer.
+        lost = np.zeros(len(vertices), bool)
+        lost[off] = True
+        fresh &= ~lost[edges].all(1)
         middle = 0.5 * (vertices[edges[:, 0]] + vertices[edges[:, 1]])
         split = np.zeros(len(edges), bool)
         split[fresh] = _far(field, middle[fresh], limit[edges[fresh]].min(1), margin_m, device)
         tested = np.union1d(tested, keys[fresh & ~split])
         # A face whose edges are all good may still bulge between them.
-        whole = np.flatnonzero(untested & ~split[face_edge].any(1))
+        whole = np.flatnonzero(untested & ~split[face_edge].any(1) & ~lost[faces].all(1))
         own = faces[whole]
         bulging = whole[_far(field, vertices[own].mean(1), limit[own].min(1), margin_m, device)]
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -109,7 +118,9 @@ def refine_mesh(
         limit[off] = _limits(field, vertices[off], normals[off], tolerance_m, device)
         off = off[_far(field, vertices[off], limit[off], margin_m, device)]
         untested |= np.isin(faces, off).any(1)
-    return TriangleMesh(vertices, faces, normals)
+    lost = np.zeros(len(vertices), bool)
+    lost[off] = True
+    return TriangleMesh(vertices, faces, normals), int(lost[faces].all(1).sum())
 
 
 def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

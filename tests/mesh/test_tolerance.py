@@ -8,6 +8,8 @@ import torch
 
 from sira_assets.errors import InputError
 from sira_assets.fields.analytic import EllipsoidHead, SphereHead
+from sira_assets.fields.fitted import FittedHead
+from sira_assets.fields.prior import load_prior
 from sira_assets.mesh.asset_mesh import asset_mesh, level_of_detail
 from sira_assets.mesh.clean import clean_with_report
 from sira_assets.mesh.extract import CountedField, ExtractConfig, cell_for, extract_mesh, extract_with_report
@@ -90,6 +92,47 @@ def test_the_tolerance_holds_where_the_cell_alone_does_not(tolerance_mm):
     assert (shape.pieces, shape.genus, shape.zero_area_faces, shape.nonmanifold_vertices) == (1, 0, 0, 0)
 
 
+def septum(x):
+    """A ball with two hollows 1.2 mm apart, a 2 mm lattice's planes on either side of the wall between them."""
+    lattice = lattice_over_box(0.002, 0.016)
+    middle = float(lattice.position(lattice.points // 2 + 0.5)[0])
+    hollows = torch.stack([SphereHead(0.012, (middle + side * 0.0126, -0.03, 0.012)).sdf(x) for side in (-1, 1)])
+    return torch.maximum(SPHERE.sdf(x), -hollows.amin(0))
+
+
+def test_a_wall_thinner_than_the_cell_is_found_by_a_finer_one():
+    coarse = extract_mesh(Field(septum), ExtractConfig(cell_m=0.002))
+    assert topology(coarse).pieces == 2  # the ball and both hollows as one
+    fine, lost = refine_mesh(Field(septum), coarse, 2e-4)
+    assert lost > 0
+    # Splitting goes on around the lost faces only: a disc of 5 mm radius, at most 100 splits a pass and mm of its rim.
+    assert len(fine.faces) < 1.1 * len(coarse.faces)
+    mesh, report = extract_with_report(Field(septum), ExtractConfig(tolerance_mm=0.2))
+    assert (report.cell_m, report.lost_faces) == (0.001, 0)
+    assert topology(mesh).pieces == 3
+    assert field_distance(Field(septum), mesh).greatest <= 2e-4
+
+
+def test_what_no_cell_resolves_is_counted():
+    def pinched(x):
+        """Two hollows and the thinnest of walls."""
+        return septum(x) + 0.00055
+
+    report = extract_with_report(Field(pinched), ExtractConfig(tolerance_mm=0.2))[1]
+    assert report.cell_m == 0.001
+    assert report.lost_faces > 0
+
+
+@pytest.mark.slow
+def test_the_tolerance_holds_on_the_shipped_network():
+    models = load_prior()
+    head = FittedHead(models.shape, models.appearance, models.z_sdf.mean, models.z_a.mean, models.z_s.mean)
+    mesh, report = extract_with_report(head, ExtractConfig(tolerance_mm=0.5))
+    assert report.lost_faces == 0
+    assert field_distance(head, mesh).greatest <= 5e-4
+    assert topology(mesh).watertight
+
+
 def test_tolerances_that_cannot_be_are_refused():
     for tolerance_mm in (0.0, -1.0, 1e-4, 10.0, float("nan")):
         with pytest.raises(InputError, match="tolerance"):
@@ -101,7 +144,8 @@ def test_tolerances_that_cannot_be_are_refused():
 @pytest.mark.parametrize("gain", [0.2, 1.0])
 def test_splitting_knows_how_flat_the_field_is(ball, gain):
     # Half of 40 micrometres at a slope of 0.2 are 4 in |f|, the least that float32 lets be asked.
-    fine = refine_mesh(Field(lambda x: gain * SPHERE.sdf(x)), ball, 4e-5)
+    fine, lost = refine_mesh(Field(lambda x: gain * SPHERE.sdf(x)), ball, 4e-5)
+    assert not lost
     assert np.array_equal(fine.vertices[: len(ball.vertices)], ball.vertices)
     radius = np.linalg.norm(surface_samples(fine, 50_000) - SPHERE.centre_m, axis=1)
     assert np.abs(radius - 0.1).max() <= 4e-5

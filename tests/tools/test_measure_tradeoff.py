@@ -13,6 +13,7 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
 from _tradeoff_figures import REFERENCE, Record, Setting, compared, curve_of, write_csv  # noqa: E402
 from _tradeoff_keep import FarEnough, StageKeeper, digest, measured  # noqa: E402
+from _tradeoff_measures import bare_percent  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,24 @@ def test_a_reference_between_the_values_stands_between_them(name, value, others)
     )
     curve = curve_of([*rows, replace(base, knob=name, value=value)], knob(name))
     assert [p.value for p in curve.points] == [others[0], value, others[1]]
+
+
+def test_pixels_without_a_surface_are_counted():
+    from sira_assets.mesh.triangle_mesh import TriangleMesh
+    from sira_assets.scene.camera import Camera
+
+    pose = np.eye(4)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0])  # OpenCV: looks along -z of the world, y down
+    camera = Camera(np.array([[40.0, 0, 20], [0, 40.0, 10], [0, 0, 1]]), pose, 40, 20)
+    # At a distance of 1, 40 pixels to a unit: x in [-0.25, 0.25] is ten columns on either side of the axis.
+    corners = np.array([[-0.25, -1, -1], [0.25, -1, -1], [0.25, 1, -1], [-0.25, 1, -1]], float)
+    strip = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    mask = np.ones((20, 40), bool)
+    assert bare_percent(strip, camera, mask) == pytest.approx(50.0)
+    mask[:, :10] = False
+    assert bare_percent(strip, camera, mask) == pytest.approx(100.0 / 3.0)
+    mask[:, 30:] = False
+    assert bare_percent(strip, camera, mask) == 0.0
 
 
 def test_every_run_is_a_line_of_the_table(tmp_path):
