@@ -51,13 +51,14 @@ class GeometryFitConfig:
     alpha: float = 50.0
     reach: float = 0.1
     reach_networks: float = 0.8
-    # In phases B and C a pixel of the mask without surface costs this much more than surface outside it: it would stay
-    # a hole in the render.
+    # A pixel of the mask without surface costs this much more than surface outside it, in phase B and in phase C: it
+    # would stay a hole in the render, and a thousandth of the mask as holes is worth some 3 dB.
     cover: float = 8.0
+    cover_last: float = 60.0
     # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.
     attention: float = 30.0
     hold: float = 400.0
-    rate_cover: float = 2.0e-4
+    rate_cover: float = 4.0e-4
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -225,7 +226,7 @@ class GeometryLosses:
         # Saturating: hair and clothes that no code can reach must not bend the face. The networks can reach further.
         reach = c.reach_networks if self.networks_open else c.reach
         robust = reach * off / (reach + off)
-        weight = torch.where(rays.in_mask & self.networks_open, c.cover, 1.0)
+        weight = torch.where(rays.in_mask & self.networks_open, c.cover_last if self.covering else c.cover, 1.0)
         return 10.0 * chance.mean() * (weight * robust).sum() / max(len(chosen), 1)
 
     def _anchor(self, x: Tensor, z_sdf: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -43,11 +43,16 @@ class Pace:
     note: Callable[[StageKept], None] = lambda kept: None
 
 
-def stage_ends(pace: Pace, work: Sequence[float]) -> float:
-    """When the first of the stages left is to end, the time left shared out by their `work` (any unit)."""
+def stage_ends(pace: Pace, work: Sequence[float], setting_out_s: float = 0.0) -> float:
+    """When the first of the stages left is to end, the time left shared out by their `work` (any unit).
+
+    Parameters
+    ----------
+    setting_out_s : time that each of the stages behind it takes before its first step is done
+    """
     now = pace.clock()
     share = work[0] / max(sum(work), 1e-30)
-    return now + share * max(pace.ends_at - now, 0.0)
+    return now + share * max(pace.ends_at - now - (len(work) - 1) * setting_out_s, 0.0)
 
 
 def progress(
@@ -64,15 +69,17 @@ def progress(
     Notes
     -----
     The first step is every stage's setting out (a geometry fit traces all rays in it): the time is shared out after it,
-    or a short stage would be over before its second step.
+    or a short stage would be over before its second step. The stages behind are expected to take as long over theirs,
+    or the last one would pay for all: in a geometry fit, the one that closes what shows no surface.
     """
     if pace is None:
         yield from (step / steps for step in range(first, steps))
         return
     if not steps:
         return
+    set_out = pace.clock()
     yield 0.0
-    ends_at = stage_ends(pace, work)
+    ends_at = stage_ends(pace, work, pace.clock() - set_out)
     # The first step does what the others do now and then only (rays are traced anew), so it is left out of the mean.
     stamps = deque([pace.clock()], maxlen=WINDOW + 1)
     done, p = 1, 1.0 / steps

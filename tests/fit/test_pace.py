@@ -75,6 +75,8 @@ def test_no_time_at_all_is_one_step():
 def test_time_is_shared_out_by_work():
     clock = Clock()
     assert stage_ends(Pace(90.0, clock=clock), [10.0, 20.0]) == pytest.approx(30.0)
+    assert stage_ends(Pace(90.0, clock=clock), [10.0, 20.0], 15.0) == pytest.approx(25.0)
+    assert stage_ends(Pace(90.0, clock=clock), [10.0, 20.0], 100.0) == 0.0
     clock.now = 100.0
     assert stage_ends(Pace(90.0, clock=clock), [10.0, 20.0]) == 100.0
 
@@ -126,10 +128,22 @@ def test_a_short_stage_outlives_a_slow_first_step():
             clock.now += 0.2 if steps else 20.0
             steps += 1
         made.append(steps)
-    # A tenth of the 80 s after the first step; then all that is left after another of them.
-    assert made[0] == pytest.approx(8.0 / 0.2, abs=2)
+    # A tenth of what is left after both first steps; then all that is left.
+    assert made[0] == pytest.approx(6.0 / 0.2, abs=2)
     assert made[1] == 100
-    assert clock.now == pytest.approx(28.0 + 20.0 + 99 * 0.2, abs=0.5)
+    assert clock.now == pytest.approx(26.0 + 20.0 + 99 * 0.2, abs=0.5)
+
+
+def test_the_last_stage_does_not_pay_for_the_others_setting_out():
+    clock, made = Clock(), []
+    pace, works = Pace(100.0, clock=clock), [1.0, 1.0, 1.0, 1.0]
+    for k in range(len(works)):
+        steps = 0
+        for _ in progress(100, pace=pace, work=works[k:]):
+            clock.now += 0.5 if steps else 5.0
+            steps += 1
+        made.append(steps)
+    assert made == pytest.approx([20.0 / 0.5] * 4, abs=2)  # 100 s less four times 5, shared evenly
 
 
 def test_a_pace_with_time_enough_is_the_plain_fit():
