@@ -57,7 +57,7 @@ class GeometryFitConfig:
     cover_last: float = 60.0
     # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.
     attention: float = 30.0
-    hold: float = 400.0
+    hold: float = 3000.0
     rate_cover: float = 4.0e-4
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
