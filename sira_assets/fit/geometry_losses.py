@@ -52,7 +52,7 @@ class GeometryFitConfig:
     reach: float = 0.1
     reach_networks: float = 0.8
     # A pixel of the mask without surface costs this much more than surface outside it, in phase B and in phase C: it
-    # would stay a hole in the render, and a thousandth of the mask as holes is worth some 3 dB.
+    # would stay a hole in the render, and a thousandth of the mask as holes costs a render of 32 dB 1 or 2.
     cover: float = 8.0
     cover_last: float = 60.0
     # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.

@@ -135,7 +135,7 @@ def extract_with_report(
         tolerance takes more triangles than `max_cells`.
     """
     counted = CountedField(field)
-    cell = coarser = cell_for(config)
+    cell = first = cell_for(config)
     while True:
         mesh, slope = _marched(counted, cell, config, device)
         before, lost = len(mesh.vertices), 0
@@ -145,8 +145,8 @@ def extract_with_report(
             counted, mesh, 1e-3 * config.tolerance_mm, max_triangles=config.max_cells, margin_m=cell, device=device
         )
         # The lattice joined what the zero set keeps apart, or the other way round, and half the cell may see it. A
-        # quarter takes sixteen times the triangles, everywhere, for what is left in the depth of a nostril.
-        if not lost or cell < coarser or cell == FINEST_CELL_M:
+        # quarter would take sixteen times the triangles, everywhere, for what is left in the depth of a nostril.
+        if not lost or cell < first or cell == FINEST_CELL_M:
             break
         cell = max(0.5 * cell, FINEST_CELL_M)
     dense = int(np.prod(np.ceil((BOUNDS_M[1] - BOUNDS_M[0]) / cell)))

@@ -105,14 +105,15 @@ def test_a_wall_thinner_than_the_cell_is_found_by_a_finer_one():
     assert topology(coarse).pieces == 2  # the ball and both hollows as one
     fine, lost = refine_mesh(Field(septum), coarse, 2e-4)
     assert lost > 0
-    # Splitting goes on around the lost faces only: a disc of 5 mm radius, at most 100 splits a pass and mm of its rim.
-    assert len(fine.faces) < 1.1 * len(coarse.faces)
+    # What is lost is not split again and again: eight passes of it made 10,000 faces here.
+    assert len(fine.faces) < 1.05 * len(coarse.faces)
     mesh, report = extract_with_report(Field(septum), ExtractConfig(tolerance_mm=0.2))
     assert (report.cell_m, report.lost_faces) == (0.001, 0)
     assert topology(mesh).pieces == 3
     assert field_distance(Field(septum), mesh).greatest <= 2e-4
 
 
+@pytest.mark.slow
 def test_what_no_cell_resolves_is_counted():
     def pinched(x):
         """Two hollows and the thinnest of walls."""
