@@ -154,6 +154,12 @@ def read_record(path: Path) -> Record:
     return Record(**data | {"stages": stages, "as_reference": tuple(data["as_reference"])})
 
 
+def kept_records(out: Path) -> list[Record]:
+    """Every record of a folder, references first, so that it does not matter which command made which."""
+    found = [read_record(path) for path in sorted((out / "runs").glob("*.json"))]
+    return sorted(found, key=lambda r: (r.knob != REFERENCE, r.scene, r.seed, r.knob))
+
+
 def made(job: Job, scene, prior, keeper: StageKeeper, *, whole: bool = True) -> Record:
     """Run, write into a folder that is thrown away, measure.
 

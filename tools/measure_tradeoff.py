@@ -11,6 +11,7 @@ Without SCENE, scenes of the generator are made in OUT/scenes (--count, --size, 
     python tools/measure_tradeoff.py --out tradeoff --count 2
     python tools/measure_tradeoff.py --out tradeoff --promises-only --promise 60s --promise 0.5mm
     python tools/measure_tradeoff.py scenes/a scenes/b --out tradeoff --knob "texture size" --knob triangles
+    python tools/measure_tradeoff.py scenes/c --out tradeoff --knob "geometry steps" --no-presets --all-runs
 """
 
 import argparse
@@ -36,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=int, default=2, help="seeds of the reference, for the spread (default 2)")
     p.add_argument("--knob", action="append", default=[], metavar="NAME", help="only these; may be said again")
     p.add_argument("--knob-scenes", type=int, metavar="N", help="turn knobs on the first N scenes only")
+    p.add_argument("--all-runs", action="store_true", help="report every run kept in OUT, other commands' as well")
     p.add_argument("--no-presets", dest="presets", action="store_false", help="leave the presets out")
     p.add_argument("--prior", type=Path, action="append", default=[], help="another prior, such as a wider one")
     p.add_argument(
@@ -75,7 +77,7 @@ def body(args: argparse.Namespace) -> int:
     from _tradeoff_figures import write_csv, write_page
     from _tradeoff_promises import promise_runs, promise_section
     from _tradeoff_report import write_report
-    from _tradeoff_runs import Sweep, sweep_runs
+    from _tradeoff_runs import Sweep, kept_records, sweep_runs
 
     from sira_assets.fields.prior import load_prior
 
@@ -92,6 +94,9 @@ def body(args: argparse.Namespace) -> int:
             done = f"{record.scene} seed {record.seed}: {record.knob} {record.value}"
             figures = "  ".join(f"{n} {v:.3g}" for n, v in record.measures.items())
             print(f"{done:48} {record.seconds():7.1f} CPU s  {figures}{'  (found)' if found else ''}", flush=True)
+        write_csv(records, args.out / "runs.csv")
+    if args.all_runs:
+        records = kept_records(args.out)
         write_csv(records, args.out / "runs.csv")
     kept = []
     for one, found in promise_runs(args.promise, scenes, args.out):

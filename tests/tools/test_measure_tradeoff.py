@@ -205,6 +205,11 @@ def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path, capsys):
     after = {p.name: p.stat().st_mtime_ns for p in (out / "runs").iterdir()}
     assert {n: t for n, t in after.items() if n != gone.name} == {n: t for n, t in before.items() if n != gone.name}
     assert set(after) == set(before)
+    # A command for fewer knobs reports those alone, or all that is kept.
+    fewer = [*command, "--knob", "texture size", "--quiet"]
+    for options, knobs in (((), {"texture size"}), (("--all-runs",), {"geometry steps", "texture size"})):
+        assert measure_tradeoff.main([*fewer, *options]) == 0
+        assert {c.name for c in read_figures(out / "figures.json").curves} == knobs
 
 
 def test_settings_measured_to_different_ends_share_a_table():
