@@ -54,7 +54,8 @@ class Setting:
     ----------
     ratio, wall_ratio : of all stages together, means over scenes and seeds
     stage_ratios : by stage
-    deltas, spread : measure -> how much worse than the reference (negative is better), and its standard deviation
+    deltas, spread : measure -> how much worse than the reference (negative is better), median over scenes and seeds,
+        and its standard deviation
     """
 
     knob: str
@@ -107,7 +108,8 @@ def compared(records: Sequence[Record]) -> list[Setting]:
                 float(np.mean(total)),
                 float(np.mean(wall)),
                 {s: float(np.exp(np.mean(np.log(np.maximum(v, 1e-3))))) for s, v in by_stage.items()},
-                {n: float(np.mean(v)) for n, v in deltas.items()},
+                # One head whose hair hides the face would outweigh the others.
+                {n: float(np.median(v)) for n, v in deltas.items()},
                 {n: float(np.std(v, ddof=1)) if len(v) > 1 else float("nan") for n, v in deltas.items()},
                 max(s[2] for r in runs for s in r.stages.values()),
                 len(runs),

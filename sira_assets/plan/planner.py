@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sira_assets.errors import InputError
-from sira_assets.pipeline import Settings
+from sira_assets.pipeline import Settings, settings_for
 from sira_assets.plan.figures import Benchmark, Figures, KnobCurve, StageCost
 from sira_assets.plan.front import convex_steps
 from sira_assets.plan.knobs import KNOBS, Knob, Value, place
@@ -104,8 +104,10 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
 
     Notes
     -----
-    From every knob's cheapest value upwards, always the step that buys most per second and still fits (the greedy rule
-    for a knapsack of convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503). Then, cheapest first, the
+    From the draft's values upwards (the preset's, where they are cheaper), or from every knob's cheapest where the draft
+    takes too long, always the step that buys most per second and still fits (the greedy rule for a knapsack of convex choices; Sinha and Zoltners 1979, DOI
+    10.1287/opre.27.3.503). Nothing is saved below the draft for the sake of another knob: the curves are of procedural
+    heads, and photographs are further from the models. Then, cheapest first, the
     preset's own value of any knob that stands below it, where time is left: the curves are of a few scenes, and what
     those had no use for this one may need.
     """
@@ -115,8 +117,16 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     def total(at: dict[Knob, Position]) -> float:
         return sum(s.seconds for s in _predicted({k.name: p for k, p in at.items()}, figures, here)[0])
 
-    chosen = {k: offers[k][0] for k in offers}
-    limit, now = PLANNED_SHARE * seconds, total(chosen)
+    preset, draft = (
+        {k: _position(k, k.read(s), figures.curve(k.name)) for k in offers} for s in (settings, settings_for("draft"))
+    )
+    chosen = {k: min(preset[k], draft[k], key=lambda p, k=k: total({k: p})) for k in offers}
+    limit = PLANNED_SHARE * seconds
+    if total(chosen) <= limit:
+        offers = {k: [chosen[k], *_beyond(chosen[k], k, offers[k], figures, here)] for k in offers}
+    else:
+        chosen = {k: offers[k][0] for k in offers}
+    now = total(chosen)
     if now > limit:
         raise InputError(
             expected=f"a budget that this machine can keep: {np.ceil(now / PLANNED_SHARE):.0f} s or more",
@@ -140,7 +150,6 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
         level[best] += 1
         chosen[best] = offers[best][level[best]]
         now = total(chosen)
-    preset = {k: _position(k, k.read(settings), figures.curve(k.name)) for k in offers}
     for k in sorted(offers, key=lambda k: total(chosen | {k: preset[k]})):
         losses = figures.curve(k.name).losses()
         no_worse = _between(losses, preset[k]) <= _between(losses, chosen[k])
@@ -180,6 +189,15 @@ def _offers(knob: Knob, curve: KnobCurve, figures: Figures, here: Benchmark) -> 
     costs = [sum(s.seconds for s in _predicted({knob.name: p}, figures, here)[0]) for p in positions]
     losses = [_between(curve.losses(), p) for p in positions]
     return [positions[i] for i in convex_steps(costs, losses)]
+
+
+def _beyond(
+    position: Position, knob: Knob, offers: Sequence[Position], figures: Figures, here: Benchmark
+) -> list[Position]:
+    """Those of a knob's offers that cost more than a position and are better."""
+    losses = figures.curve(knob.name).losses()
+    cost = lambda p: sum(s.seconds for s in _predicted({knob.name: p}, figures, here)[0])  # noqa: E731
+    return [o for o in offers if cost(o) > cost(position) and _between(losses, o) < _between(losses, position)]
 
 
 def _predicted(at: dict[str, Position], figures: Figures, here: Benchmark) -> tuple[tuple[StageCost, ...], float]:

@@ -98,9 +98,26 @@ def test_time_that_is_left_buys_the_presets_own_values():
     sizes = [
         knob("texture size").read(plan_budget(t, settings_for("standard"), f, BENCH).settings) for t in (60.0, 600.0)
     ]
-    assert sizes == [256, knob("texture size").read(settings_for("standard"))]
+    assert sizes == [
+        knob("texture size").read(settings_for("draft")),
+        knob("texture size").read(settings_for("standard")),
+    ]
     # And never more than the preset's.
     assert knob("geometry steps").read(plan_budget(6000.0, settings_for("standard"), f, BENCH).settings) < 2.01
+
+
+def test_nothing_is_saved_below_the_draft_for_another_knob():
+    # In these figures the geometry's steps buy nothing, and the appearance's much.
+    f = figures()
+    useless = [replace(p, losses=(("face_mm", 0.0),)) for p in f.curves[0].points]
+    f = replace(f, curves=(KnobCurve(f.curves[0].name, tuple(useless)), *f.curves[1:]))
+    draft = settings_for("draft")
+    takes = sum(s.seconds for s in predicted(draft, f, BENCH)[0]) / PLANNED_SHARE
+    names = [c.name for c in f.curves]
+    enough = plan_budget(1.3 * takes, settings_for("standard"), f, BENCH).settings
+    assert all(knob(n).read(enough) >= knob(n).read(draft) - 1e-9 for n in names)
+    too_little = plan_budget(0.8 * takes, settings_for("standard"), f, BENCH).settings
+    assert knob(names[0]).read(too_little) < knob(names[0]).read(draft)
 
 
 def test_too_little_time_is_refused_with_what_it_would_take():

@@ -105,6 +105,9 @@ def test_costs_are_beside_the_reference_of_that_scene_and_machine():
     found = record("geometry steps", 0.25, 3.0, 1.5, speed=3.0)
     assert compared([records[0], found])[1].stage_ratios == pytest.approx({"fit geometry": 0.1, "bake": 1.0})
     assert half.spread["face_mm"] == pytest.approx(np.std([0.5, 0.3], ddof=1))
+    # One head far from the others does not carry them.
+    records += [record(REFERENCE, "standard", 10.0, 5.0, scene="c"), record("geometry steps", 0.5, 5.0, 3.0, scene="c")]
+    assert compared(records)[1].deltas["face_mm"] == pytest.approx(0.3)
 
 
 def test_a_curve_has_its_own_stages_only_and_its_values_in_order():
