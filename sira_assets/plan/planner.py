@@ -104,12 +104,12 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
 
     Notes
     -----
-    From the draft's values upwards (the preset's, where they are cheaper), or from every knob's cheapest where the draft
-    takes too long, always the step that buys most per second and still fits (the greedy rule for a knapsack of convex choices; Sinha and Zoltners 1979, DOI
-    10.1287/opre.27.3.503). Nothing is saved below the draft for the sake of another knob: the curves are of procedural
-    heads, and photographs are further from the models. Then, cheapest first, the
-    preset's own value of any knob that stands below it, where time is left: the curves are of a few scenes, and what
-    those had no use for this one may need.
+    From the draft's values upwards (the preset's, where they are cheaper), or from every knob's cheapest where the
+    draft takes too long, always the step that buys most per second and still fits (the greedy rule for a knapsack of
+    convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503). Nothing is saved below the draft for the sake
+    of another knob: the curves are of procedural heads, and photographs are further from the models. Then, cheapest
+    first, the preset's own value of any knob that stands below it, where time is left: the curves are of a few scenes,
+    and what those had no use for this one may need.
     """
     offers = {k: _offers(k, curve, figures, here) for k in KNOBS if (curve := figures.curve(k.name)) is not None}
     level = dict.fromkeys(offers, 0)
