@@ -131,7 +131,24 @@ def stretch(mesh: TriangleMesh, uv: np.ndarray, faces_uv: np.ndarray) -> np.ndar
     It is the ratio of the singular values of the 2x2 Jacobian (Sander et al. 2001, DOI 10.1145/383259.383307); inf for
     a face of no area in the picture.
     """
-    corners = mesh.vertices[mesh.faces]
+    high, determinant = _singular(mesh.vertices, mesh.faces, uv, faces_uv)
+    return np.where(determinant > 0, high / np.maximum(determinant, 1e-300), np.inf)
+
+
+def furthest_apart(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, faces_uv: np.ndarray) -> np.ndarray:
+    """(F,) how far on the surface one unit of the picture reaches at most, on each face.
+
+    The inverse of the Jacobian's smallest singular value; inf for a face of no area in the picture.
+    """
+    high, determinant = _singular(vertices, faces, uv, faces_uv)
+    return np.where(determinant > 0, np.sqrt(high) / np.maximum(determinant, 1e-300), np.inf)
+
+
+def _singular(
+    vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, faces_uv: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the Jacobian from each face to the picture: the square of the larger singular value; both multiplied."""
+    corners = vertices[faces]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.maximum(np.linalg.norm(e1, axis=1), 1e-30)
     x2 = (e2 * e1).sum(1) / length
@@ -144,7 +161,7 @@ def stretch(mesh: TriangleMesh, uv: np.ndarray, faces_uv: np.ndarray) -> np.ndar
     # The small singular value from the determinant: a + c - root cancels for thin faces.
     high = 0.5 * (a + c + root)
     determinant = np.abs(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0])
-    return np.where(determinant > 0, high / np.maximum(determinant, 1e-300), np.inf)
+    return high, determinant
 
 
 def measure_atlas(

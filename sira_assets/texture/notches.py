@@ -1,14 +1,15 @@
-"""Places where a chart all but touches itself although its surface does not.
+"""Places where one texel would have to show what is far apart on the surface.
 
 Notation: a notch is a gap in a chart narrower than a texel; d is how far apart its two banks are on the surface. One
 texel lies on both banks and can be right on one of them only: the other is read wrong by as much as the map changes
 over d. (A slit, cut so that a chart lies flat, has both banks at one place, d = 0, and is no notch.) Unwrappers that
-keep angles roughly may close a wedge that was left out of a chart to such a gap.
+keep angles roughly may close a wedge that was left out of a chart to such a gap. They also squeeze single faces to
+needles, whose two sides are then the banks.
 """
 
 import numpy as np
 
-from sira_assets.texture.atlas import border_edges, chart_labels
+from sira_assets.texture.atlas import border_edges, chart_labels, furthest_apart
 from sira_assets.texture.overlap import losers
 
 # A bilinear reading reaches one texel far; the rest is for how well the texel's size is foreseen.
@@ -50,6 +51,16 @@ def faces_at_notches(
     one, other = pairs[:, 0], pairs[:, 1]
     apart = np.linalg.norm(point[one] - point[other], axis=1) > _FAR_TEXELS * texel
     banks = np.sort(face[owner][pairs[apart]], axis=1)
-    # Within one face it is stretch, which no cut mends.
+    # Within one face it is stretch, for `squeezed_faces`.
     banks = np.unique(banks[banks[:, 0] != banks[:, 1]], axis=0)
     return losers(banks, len(faces_uv))
+
+
+def squeezed_faces(uv: np.ndarray, faces_uv: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F,) bool: faces squeezed so much in a chart that a texel reaches further over them than it may.
+
+    Parameters
+    ----------
+    uv, faces_uv, vertices, faces : as for `faces_at_notches`
+    """
+    return furthest_apart(vertices, faces, uv, faces_uv) > _FAR_TEXELS

@@ -2,8 +2,8 @@
 
 Notation: V vertices, F faces, T atlas vertices (see `texture.atlas`). The way: what unwrappers choke on is taken away
 (`sound_surface`), the rest is split into parts, each method gets the parts that are left and the time that is left,
-box charts take what nobody could, faces that overlap or stand at a notch (`notches`) get charts of their own, and all
-charts are packed.
+box charts take what nobody could, faces that overlap, are squeezed or stand at a notch (`notches`) get charts of their
+own, and all charts are packed.
 """
 
 import time
@@ -14,7 +14,7 @@ import numpy as np
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.texture.atlas import Atlas, chart_labels, measure_atlas, signed_uv_areas
 from sira_assets.texture.box_charts import box_charts
-from sira_assets.texture.notches import faces_at_notches
+from sira_assets.texture.notches import faces_at_notches, squeezed_faces
 from sira_assets.texture.overlap import losers, overlapping_pairs
 from sira_assets.texture.packing import pack_charts
 from sira_assets.texture.sound_surface import SoundSurface, cut_open, face_pieces, sound_surface
@@ -73,7 +73,8 @@ def unwrap(mesh: TriangleMesh, config: UnwrapConfig = UnwrapConfig()) -> Atlas:
     start, start_cpu = time.monotonic(), time.process_time()
     sound = sound_surface(mesh)
     charts, method, attempts, predicted = _charts(sound, config, start, start_cpu)
-    charts = _without_notches(sound, _without_overlap(sound, charts), config.texture_size)
+    charts = _without_squeezed(sound, _without_overlap(sound, charts))
+    charts = _without_notches(sound, charts, config.texture_size)
     chart = chart_labels(charts.faces_uv, len(charts.uv))
     packed = pack_charts(charts.uv, charts.faces_uv, chart, config.texture_size, config.padding)
     uv, faces_uv = _put_back(mesh, sound, packed.uv, charts.faces_uv)
@@ -183,6 +184,11 @@ def _without_overlap(sound: SoundSurface, charts: _Charts) -> _Charts:
     # Charts by box projection are free of overlap already, but looking again costs less than remembering which.
     pairs = overlapping_pairs(charts.uv, faces_uv, chart)
     return _in_boxes(sound, charts, losers(pairs, len(faces_uv)) | (signed_uv_areas(charts.uv, faces_uv) <= 0.0))
+
+
+def _without_squeezed(sound: SoundSurface, charts: _Charts) -> _Charts:
+    """Faces that a chart squeezes get box charts, which shrink a face by 1.8 at most."""
+    return _in_boxes(sound, charts, squeezed_faces(charts.uv, charts.faces_uv, sound.vertices, sound.faces))
 
 
 def _without_notches(sound: SoundSurface, charts: _Charts, size: int) -> _Charts:
