@@ -75,8 +75,7 @@ def refine_mesh(
         fresh &= ~np.isin(keys, tested)
         # Where no corner could be brought to the zero set, smaller faces cannot be either: the lattice missed a wall or
         # a gap there, and splitting would go on until the last pass without coming nearer.
-        lost = np.zeros(len(vertices), bool)
-        lost[off] = True
+        lost = np.isin(np.arange(len(vertices)), off)
         fresh &= ~lost[edges].all(1)
         middle = 0.5 * (vertices[edges[:, 0]] + vertices[edges[:, 1]])
         split = np.zeros(len(edges), bool)
@@ -118,9 +117,7 @@ def refine_mesh(
         limit[off] = _limits(field, vertices[off], normals[off], tolerance_m, device)
         off = off[_far(field, vertices[off], limit[off], margin_m, device)]
         untested |= np.isin(faces, off).any(1)
-    lost = np.zeros(len(vertices), bool)
-    lost[off] = True
-    return TriangleMesh(vertices, faces, normals), int(lost[faces].all(1).sum())
+    return TriangleMesh(vertices, faces, normals), int(np.isin(faces, off).all(1).sum())
 
 
 def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -115,7 +115,7 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     level = dict.fromkeys(offers, 0)
 
     def total(at: dict[Knob, Position]) -> float:
-        return sum(s.seconds for s in _predicted({k.name: p for k, p in at.items()}, figures, here)[0])
+        return _seconds({k.name: p for k, p in at.items()}, figures, here)
 
     preset, draft = (
         {k: _position(k, k.read(s), figures.curve(k.name)) for k in offers} for s in (settings, settings_for("draft"))
@@ -186,7 +186,7 @@ def _offers(knob: Knob, curve: KnobCurve, figures: Figures, here: Benchmark) -> 
         positions.append((i, i, 0.0))
         if knob.steps and i + 1 < len(curve.points):
             positions += [(i, i + 1, n / (BETWEEN + 1)) for n in range(1, BETWEEN + 1)]
-    costs = [sum(s.seconds for s in _predicted({knob.name: p}, figures, here)[0]) for p in positions]
+    costs = [_seconds({knob.name: p}, figures, here) for p in positions]
     losses = [_between(curve.losses(), p) for p in positions]
     return [positions[i] for i in convex_steps(costs, losses)]
 
@@ -196,8 +196,17 @@ def _beyond(
 ) -> list[Position]:
     """Those of a knob's offers that cost more than a position and are better."""
     losses = figures.curve(knob.name).losses()
-    cost = lambda p: sum(s.seconds for s in _predicted({knob.name: p}, figures, here)[0])  # noqa: E731
-    return [o for o in offers if cost(o) > cost(position) and _between(losses, o) < _between(losses, position)]
+    cost = _seconds({knob.name: position}, figures, here)
+    return [
+        o
+        for o in offers
+        if _seconds({knob.name: o}, figures, here) > cost and _between(losses, o) < _between(losses, position)
+    ]
+
+
+def _seconds(at: dict[str, Position], figures: Figures, here: Benchmark) -> float:
+    """What a combination takes; knobs that are not named are as in the reference."""
+    return sum(s.seconds for s in _predicted(at, figures, here)[0])
 
 
 def _predicted(at: dict[str, Position], figures: Figures, here: Benchmark) -> tuple[tuple[StageCost, ...], float]:
