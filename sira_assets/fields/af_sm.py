@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sira_assets.fields.mlp import MLP, encode, encoded_size, with_code
+from sira_assets.fields.mlp import MLP, encode, encoded_size
 from sira_assets.numerics.srgb import srgb_encode
 
 # Skin, hair, cloth and eyes reflect at most a tenth at normal incidence (index of refraction <= 1.9).
@@ -63,7 +63,7 @@ class AppearanceFactorModel(nn.Module):
     ) -> Float[Tensor, "N 3"]:
         """a: linear diffuse albedo."""
         inputs = torch.cat([encode(x_ref, self.config.albedo_octaves), gamma], -1)
-        return torch.sigmoid(self.albedo(with_code(inputs, z_a)) - 1.0)
+        return torch.sigmoid(self.albedo(inputs, z_a) - 1.0)
 
     def specular_f0(
         self, x_ref: Float[Tensor, "N 3"], diffuse: Float[Tensor, "N 3"], z_s: Float[Tensor, "..."]
@@ -74,7 +74,7 @@ class AppearanceFactorModel(nn.Module):
         and the photo shows the edges of the one and not of the other. No gradient goes back into `diffuse`.
         """
         inputs = torch.cat([encode(x_ref, self.config.specular_octaves), srgb_encode(diffuse.detach())], -1)
-        out = self.specular(with_code(inputs, z_s))[:, 0]
+        out = self.specular(inputs, z_s)[:, 0]
         return MAX_F0 * torch.sigmoid(out - 0.75)
 
     def lobes(

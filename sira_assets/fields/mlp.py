@@ -44,15 +44,20 @@ class MLP(nn.Module):
             nn.init.zeros_(layer.bias)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, x: Float[Tensor, "N I"]) -> Float[Tensor, "N O"]:
-        """Apply the layers."""
-        for layer in self.hidden:
+    def forward(self, x: Float[Tensor, "N D"], code: Float[Tensor, "..."] | None = None) -> Float[Tensor, "N O"]:
+        """Apply the layers to x with a latent code appended: (Z,) for one scene, or (N, Z) for one scene a point."""
+        first, *rest = self.hidden
+        if code is None or code.ndim > 1:
+            x = first(x if code is None else torch.cat([x, code], -1))
+        else:
+            # A code that all points share adds the same to all of them, so its columns are multiplied once.
+            own = x.shape[-1]
+            x = nn.functional.linear(
+                x, first.weight[:, :own], nn.functional.linear(code, first.weight[:, own:], first.bias)
+            )
+        x = nn.functional.silu(x)
+        for layer in rest:
             x = nn.functional.silu(layer(x))
         # Under autocast the hidden layers may run in bfloat16; a distance needs the digits of float32.
         with torch.autocast(x.device.type, enabled=False):
             return self.out(x.to(self.out.weight.dtype))
-
-
-def with_code(x: Float[Tensor, "N D"], code: Float[Tensor, "..."]) -> Float[Tensor, "N E"]:
-    """Append a latent code to every point: `code` is (Z,) for one scene or (N, Z) for one scene a point."""
-    return torch.cat([x, code.expand(len(x), code.shape[-1])], -1)

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sira_assets.fields.mlp import MLP, encode, encoded_size, with_code
+from sira_assets.fields.mlp import MLP, encode, encoded_size
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class ShapeAppearanceModel(nn.Module):
         self, x: Float[Tensor, "N 3"], z_sdf: Float[Tensor, "..."]
     ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N G"]]:
         """delta and gamma at x; without a reference delta is zero."""
-        out = self.deformation(with_code(encode(x, self.config.deformation_octaves), z_sdf))
+        out = self.deformation(encode(x, self.config.deformation_octaves), z_sdf)
         return (out[:, :3], out[:, 3:]) if self.config.reference else (torch.zeros_like(x), out[:, 1:])
 
     def reference_sdf(self, x_ref: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
@@ -83,7 +83,7 @@ class ShapeAppearanceModel(nn.Module):
     ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"], Float[Tensor, "N G"]]:
         """f_sdf(x), x_ref and gamma."""
         if not self.config.reference:
-            out = self.deformation(with_code(encode(x, self.config.deformation_octaves), z_sdf))
+            out = self.deformation(encode(x, self.config.deformation_octaves), z_sdf)
             return out[:, 0] + _ball(x), x, out[:, 1:]
         delta, gamma = self.deform(x, z_sdf)
         x_ref = x + delta
@@ -99,7 +99,7 @@ class ShapeAppearanceModel(nn.Module):
     ) -> Float[Tensor, "N 3"]:
         """r: sRGB-encoded colour in (0, 1); `view` points from the surface to the camera."""
         inputs = torch.cat([encode(x_ref, self.config.renderer_octaves), normals, view, gamma], -1)
-        return torch.sigmoid(self.renderer(with_code(inputs, z_r)))
+        return torch.sigmoid(self.renderer(inputs, z_r))
 
 
 def _ball(x: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:

@@ -65,14 +65,10 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     Vertices of no face, or of faces of no area, get (0, 0, 1).
     """
-    corners = vertices[faces]
-    cross = face_cross_products(vertices, faces)
-    unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+    import igl
+
     out = np.zeros_like(vertices)
-    for k in range(3):
-        e1, e2 = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        angle = np.arctan2(np.linalg.norm(np.cross(e1, e2), axis=1), (e1 * e2).sum(1))
-        for axis in range(3):
-            out[:, axis] += np.bincount(faces[:, k], unit[:, axis] * angle, len(vertices))
-    length = np.linalg.norm(out, axis=1, keepdims=True)
-    return np.where(length > 1e-12, out / np.maximum(length, 1e-300), np.array([0.0, 0.0, 1.0]))
+    sound = faces[np.linalg.norm(face_cross_products(vertices, faces), axis=1) > 0.0] if len(faces) else faces
+    if len(sound):
+        out = igl.per_vertex_normals(vertices, sound, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE)
+    return np.where(np.isfinite(out).all(1, keepdims=True) & (out != 0.0).any(1, keepdims=True), out, [0.0, 0.0, 1.0])

@@ -10,7 +10,7 @@ from sira_assets.errors import InputError
 from sira_assets.fields.af_sm import MAX_F0, AppearanceConfig, AppearanceFactorModel, fibonacci_sphere
 from sira_assets.fields.fitted import AlbedoRefinement, FittedHead, load_fitted, save_fitted
 from sira_assets.fields.head_field import query
-from sira_assets.fields.mlp import UNIT_M, encode, encoded_size
+from sira_assets.fields.mlp import MLP, UNIT_M, encode, encoded_size
 from sira_assets.fields.prior import CODE_NAMES, CodeStatistics, Prior, load_prior, save_prior
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig, sdf_and_gradient
 
@@ -34,6 +34,18 @@ def test_positional_encoding_has_the_stated_size_and_values():
     for k in range(3):
         for axis in range(3):
             assert (e[0] == torch.sin(2**k * x[0, axis])).any()
+
+
+def test_a_code_all_points_share_is_a_code_given_to_each():
+    torch.manual_seed(0)
+    net = MLP(3 + 5, 2, width=8, depth=3).double()
+    x, code = torch.randn(7, 3, dtype=torch.float64), torch.randn(5, dtype=torch.float64, requires_grad=True)
+    each = code.expand(7, 5)
+    for given in (each, code):
+        torch.testing.assert_close(net(x, given), net(torch.cat([x, each], -1)))
+    gradients = [torch.autograd.grad(net(x, given).square().sum(), [code, *net.parameters()]) for given in (each, code)]
+    for a, b in zip(*gradients, strict=True):
+        torch.testing.assert_close(a, b)
 
 
 def test_untrained_reference_is_near_a_ball_of_one_unit():

@@ -12,7 +12,7 @@ from sira_assets.mesh.project import ProjectConfig, project_mesh, project_points
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.simplify import barycentric, simplify_mesh
 from sira_assets.mesh.topology import nonmanifold_vertices, topology
-from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.mesh.triangle_mesh import TriangleMesh, vertex_normals
 
 TETRAHEDRON = TriangleMesh(
     np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -145,6 +145,19 @@ def test_simplify_returns_small_meshes_as_they_are_and_refuses_nonsense(ellipsoi
     assert simplify_mesh(TETRAHEDRON, 100) is TETRAHEDRON
     with pytest.raises(InputError, match="at least 4"):
         simplify_mesh(ellipsoid, 3)
+
+
+def test_vertex_normals_weigh_faces_by_their_angles():
+    """A box's corner, its sides split either way, has the diagonal; what has no normal gets (0, 0, 1)."""
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [9, 9, 9], [2, 0, 0]], float)
+    faces = np.array([[0, 1, 4], [0, 4, 2], [0, 2, 3], [0, 3, 1], [0, 1, 6]])  # the last of no area
+    expected = np.full(3, 3**-0.5)
+    for scale in (1.0, 1e-9, 1e-50):  # in any unit of length
+        normals = vertex_normals(scale * corner, faces)
+        np.testing.assert_allclose(normals[0], expected, atol=1e-14)
+        np.testing.assert_array_equal(normals[5:], [[0, 0, 1]] * 2)
+    np.testing.assert_array_equal(vertex_normals(corner, faces[:0]), [[0, 0, 1]] * 7)
+    np.testing.assert_allclose(vertex_normals(corner, faces[:, ::-1])[0], -expected, atol=1e-14)
 
 
 def test_projection_reaches_the_zero_set_within_its_limit():

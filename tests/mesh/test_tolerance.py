@@ -15,7 +15,7 @@ from sira_assets.mesh.clean import clean_with_report
 from sira_assets.mesh.extract import CountedField, ExtractConfig, cell_for, extract_mesh, extract_with_report
 from sira_assets.mesh.field_distance import field_distance, mesh_distance, surface_samples
 from sira_assets.mesh.importance import head_importance
-from sira_assets.mesh.lattice import CORNERS, closed_sdf, lattice_over_box, surface_cells
+from sira_assets.mesh.lattice import CORNERS, LatticeValues, closed_sdf, lattice_over_box, surface_cells
 from sira_assets.mesh.refine import refine_mesh
 from sira_assets.mesh.self_intersection import self_intersecting_faces
 from sira_assets.mesh.simplify import simplify_mesh, simplify_to_tolerance
@@ -36,6 +36,18 @@ class Field:
         return self.function(x)
 
 
+@dataclass
+class Remembering:
+    """A field that remembers the points it was asked for."""
+
+    function: object
+    asked: list
+
+    def sdf(self, x):
+        self.asked.append(x.double().numpy())
+        return self.function(x)
+
+
 def two_balls(x):
     """Two overlapping balls, the crease between them rounded to a radius of about 4 mm; |grad f| = 0.7 to 1 there."""
     a, b = (SphereHead(r, c).sdf(x) for r, c in ((0.08, (0.0, -0.05, -0.05)), (0.06, (0.0, 0.06, -0.05))))
@@ -51,9 +63,37 @@ def ball():
     return extract_mesh(SPHERE, ExtractConfig(cell_m=0.006))
 
 
+def test_lattice_values_are_the_fields_and_each_corner_is_asked_once_at_whatever_size_of_cell():
+    lattice, field, rng = lattice_over_box(0.004, 0.016), Remembering(SPHERE.sdf, []), np.random.default_rng(0)
+    values = LatticeValues(field, lattice, 0.0, "cpu", 4)
+    for size in (4, 2, 1):
+        for _ in range(3):  # an eighth of the lattice, so that corners repeat within a call, between calls and sizes
+            index = 8 + size * rng.integers(0, (lattice.points - 1) // (2 * size), (9000, 2, 3))
+            expected = closed_sdf(SPHERE, lattice.position(index.reshape(-1, 3)), "cpu").reshape(9000, 2)
+            np.testing.assert_array_equal(values.at(lattice.key(index)), expected)
+        values = values.finer() if size > 1 else values
+    asked = np.concatenate(field.asked)
+    assert len(np.unique(asked, axis=0)) == len(asked)
+
+
+def test_places_tell_keys_apart_as_sorting_does():
+    lattice = lattice_over_box(0.002, 0.016)
+    values, index = (
+        LatticeValues(SPHERE, lattice, 0.0, "cpu", 1),
+        np.random.default_rng(1).integers(0, 60, (100_000, 3)),
+    )
+    index[0], index[1] = 0, lattice.points - 1
+    keys = lattice.key(index)
+    np.testing.assert_array_equal(lattice.index(keys), index)
+    chosen, number = values.distinct(values.places(keys))
+    np.testing.assert_array_equal(np.sort(keys[chosen]), np.unique(keys))
+    np.testing.assert_array_equal(keys[chosen][number], keys)
+
+
+@pytest.mark.parametrize("steps", [(0.008, 0.016), (0.004, 0.032)])
 @pytest.mark.parametrize("function", [SPHERE.sdf, EllipsoidHead().sdf, two_balls, rough])
-def test_the_sparse_search_finds_the_cells_a_dense_one_finds(function):
-    field, lattice = Field(function), lattice_over_box(0.008, 0.016)
+def test_the_sparse_search_finds_the_cells_a_dense_one_finds(function, steps):
+    field, lattice = Field(function), lattice_over_box(*steps)
     found = surface_cells(field, lattice, lipschitz=2.0, zero_m=1e-6, max_cells=10**7)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in lattice.points), indexing="ij"), -1)
     value = closed_sdf(field, lattice.position(grid.reshape(-1, 3)), "cpu")
