@@ -252,6 +252,8 @@ def _decisions(journey: Journey, settings: Settings) -> tuple[Decision, ...]:
         if (density := settings.texels_per_pixel)
         else "as asked"
     )
+    if size == settings.largest_texture:
+        how += "; no more for the time asked"
     texels = Decision("texture size", f"{size} x {size}", how)
     tried = "; ".join(atlas.attempts) or "first method asked, within its time and without faults"
     found = (Decision(d.what, d.chosen, d.evidence) for d in journey.appearance.decisions)

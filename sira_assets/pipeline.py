@@ -13,6 +13,7 @@ import numpy as np
 from sira_assets.asset.avatar import Avatar
 from sira_assets.asset.export_config import ExportConfig
 from sira_assets.errors import InputError
+from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, load_prior
 from sira_assets.fit.appearance import AppearanceFit, fit_appearance, unlit_head
 from sira_assets.fit.appearance_losses import AppearanceFitConfig
@@ -49,6 +50,8 @@ class Settings:
     largest_photo : a photo of more pixels a side is brought down to so many for everything: a head's fields hold no
         finer detail, and what is drawn beside the photo would take longer than the fit
     photo_side : the fits read the photo at no more than so many pixels a side; None: as it is
+    texels_per_pixel : where the photo decides the texture size; None: `bake.size` does
+    largest_texture : where the photo decides, but no more than so many texels a side
     """
 
     quality: str = "standard"
@@ -62,7 +65,8 @@ class Settings:
     unwrap: UnwrapConfig = UnwrapConfig()
     bake: BakeConfig = BakeConfig()
     export: ExportConfig = ExportConfig()
-    texels_per_pixel: float | None = None  # where the photo decides the texture size; None: `bake.size` does
+    texels_per_pixel: float | None = None
+    largest_texture: int | None = None
     largest_photo: int = 2048
     photo_side: int | None = None
     seed: int = 0
@@ -70,15 +74,16 @@ class Settings:
 
 @dataclass(frozen=True)
 class Timetable:
-    """When a run's fits are to be over, and what becomes of the asset's settings if they were late.
+    """When a run's fits are to be over, and what becomes of the maps where time is short.
 
     Parameters
     ----------
-    revised : settings for what comes after the fits
+    appearance : called before that fit with what was planned for after it; what to do instead, and the fit's pace
+    revised : called after that fit with what was to be done, for what to do instead
     """
 
     geometry: Pace
-    appearance: Pace
+    appearance: Callable[[Settings], tuple[Settings, Pace]]
     revised: Callable[[Settings], Settings]
 
 
@@ -192,6 +197,7 @@ def sized_for_photo(settings: Settings, mesh_world: TriangleMesh, camera: Camera
         return settings
     density = settings.texels_per_pixel
     size = photo_texture_size(mesh_world, camera, texels_per_pixel=density, shortest_wave=shortest_wave)
+    size = min(size, settings.largest_texture or size)
     return replace(settings, unwrap=replace(settings.unwrap, texture_size=size), bake=replace(settings.bake, size=size))
 
 
@@ -250,6 +256,10 @@ def run(
     shape = unlit_head(geometry, prior)
     surface, extracted = stage("extract", extract_with_report, shape, settings.extract, device=device)
     surface, cleaned = stage("clean", clean_with_report, surface, settings.clean)
+    to_world = np.linalg.inv(geometry.canonical_from_world)
+    wave = settings.appearance.refinement.shortest * UNIT_M * float(np.cbrt(np.linalg.det(to_world[:3, :3])))
+    settings = sized_for_photo(settings, surface.transformed(to_world), portrait.camera, wave)
+    settings, pace = timetable.appearance(settings) if timetable else (settings, None)
     key = fit_key(seen, prior, repr((settings.geometry, settings.extract, settings.clean, settings.appearance)))
     appearance = kept_appearance(work, key, device=device) if work else None
     if appearance is not None:
@@ -257,8 +267,7 @@ def run(
     else:
         partial = Checkpoint(work / "appearance-partial.safetensors", key) if work else None
         given = (seen, geometry, prior, surface, settings.appearance)
-        kept = {"checkpoint": partial, "pace": timetable.appearance if timetable else None}
-        appearance = stage("fit appearance", fit_appearance, *given, **kept)
+        appearance = stage("fit appearance", fit_appearance, *given, checkpoint=partial, pace=pace)
         if work:
             keep_appearance(appearance, work, key)
             partial.path.unlink(missing_ok=True)
@@ -268,7 +277,6 @@ def run(
     if appearance.shadowed:
         rays = settings.appearance.rays.aimed
         shadows = stage("shadows", surface_visibility, surface, light, pose, directions=rays)
-    to_world = np.linalg.inv(pose)
 
     def dressed(mesh: TriangleMesh, level: int = 0) -> Avatar:
         name = f", level {level}" if level else ""
@@ -291,8 +299,6 @@ def run(
 
     mesh = stage("simplify", asset_mesh, surface, settings.max_triangles, settings.tolerance_mm)
     gap = stage("measure", field_distance, shape, mesh, samples=20_000, device=device)
-    wave = head.shortest_wave_m * float(np.cbrt(np.linalg.det(to_world[:3, :3])))
-    settings = sized_for_photo(settings, mesh.transformed(to_world), portrait.camera, wave)
     avatar = dressed(mesh)
     meshes = [
         stage(f"simplify, level {k}", level_of_detail, surface, mesh, k)

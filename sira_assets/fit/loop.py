@@ -118,6 +118,7 @@ def run_stages(
             start, ends = ends, ends + stage.steps
             if done >= ends:
                 continue
+            entered_at = pace.clock() if pace is not None else 0.0
             if done == start:
                 stage.begin()
             stage.enter()
@@ -158,7 +159,7 @@ def run_stages(
                     break
             done = ends
             if pace is not None:
-                pace.note(StageKept(stage.name, stage.steps, made))
+                pace.note(StageKept(stage.name, stage.steps, made, pace.clock() - entered_at))
             if guard.refused:
                 ended = ", and the stage was ended" if guard.exhausted else ""
                 warnings.append(

@@ -18,11 +18,12 @@ WINDOW = 80
 
 @dataclass(frozen=True)
 class StageKept:
-    """How many steps a stage was planned with and how many it did."""
+    """How many steps a stage was planned with, how many it did, and in how many seconds."""
 
     name: str
     planned: int
     done: int
+    seconds: float
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,9 @@ def _put_visibility(settings: Settings, rays: Value) -> Settings:
 
 
 def _texture(settings: Settings) -> int:
-    """Texels a side; where the photo decides, what it comes to for a head that fills 512 pixels."""
+    """Texels a side; where the photo decides, the most, or what it comes to for a head that fills 512 pixels."""
+    if settings.largest_texture and settings.texels_per_pixel:
+        return settings.largest_texture
     return round(settings.bake.size * (settings.texels_per_pixel or 2.0) / 2.0)
 
 

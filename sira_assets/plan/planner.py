@@ -6,7 +6,7 @@ independent.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,7 +109,8 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503). Nothing is saved below the draft for the sake
     of another knob: the curves are of procedural heads, and photographs are further from the models. Then, cheapest
     first, the preset's own value of any knob that stands below it, where time is left: the curves are of a few scenes,
-    and what those had no use for this one may need.
+    and what those had no use for this one may need. The texture size is the most that the time allows: where the photo
+    shows less, a run makes its maps smaller.
     """
     offers = {k: _offers(k, curve, figures, here) for k in KNOBS if (curve := figures.curve(k.name)) is not None}
     level = dict.fromkeys(offers, 0)
@@ -155,8 +156,12 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
         no_worse = _between(losses, preset[k]) <= _between(losses, chosen[k])
         if no_worse and now < (cost := total(chosen | {k: preset[k]})) <= limit:
             chosen[k], now = preset[k], cost
+    photo_decides = settings.texels_per_pixel is not None
     for k, position in chosen.items():
         settings = k.put(settings, _value(k, position, figures.curve(k.name)))
+    if photo_decides:
+        finest = settings_for("high").texels_per_pixel
+        settings = replace(settings, texels_per_pixel=finest, largest_texture=settings.bake.size)
     return plan_of(f"{seconds:g} s", settings, figures, here, seconds)
 
 

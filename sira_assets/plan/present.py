@@ -46,8 +46,9 @@ def plan_decisions(plan: Plan, keeping: Keeping | None, seconds: float) -> tuple
     kept = [f"planned {plan.seconds:.0f} s, {seconds:.1f} s when this page was written"]
     if keeping is not None:
         kept += [f"{k.name} {k.done} of {k.planned} steps" for k in keeping.steps]
-        if keeping.texture_size is not None:
-            kept.append(f"maps made smaller to keep the time: {keeping.texture_size} texels a side")
+        if keeping.maps is not None:
+            size, samples = keeping.maps
+            kept.append(f"maps made smaller to keep the time: {size} texels a side, {samples} x {samples} samples each")
     knobs = (
         Decision(c.knob, _said(c), f"planned; {c.loss:.1f} steps worth seeing behind the best value measured")
         for c in plan.choices

@@ -113,7 +113,7 @@ def test_stages_are_over_in_time_and_enter_every_planned_step(seconds, ends_at):
     assert seen["before"] == [*range(last[0] + 1), *range(len(seen["before"]) - last[0] - 1)]
     assert [k.name for k in kept] == ["one", "two"]
     assert sum(k.done for k in kept) == len(seen["losses"])
-    assert all(k == StageKept(k.name, 60, k.done) for k in kept)
+    assert all(k == StageKept(k.name, 60, k.done, seconds * k.done) for k in kept)
     if ends_at == 40.0 and seconds == 1.0:
         assert kept[1].done == pytest.approx(3 * kept[0].done, abs=3)  # three times the work planned
 

@@ -9,6 +9,7 @@ import pytest
 from sample_figures import BENCH, STEPS, figures
 
 from sira_assets.errors import InputError
+from sira_assets.fit.pace import StageKept
 from sira_assets.pipeline import settings_for
 from sira_assets.plan.figures import Benchmark, KnobCurve, read_figures, write_figures
 from sira_assets.plan.knobs import knob
@@ -172,26 +173,74 @@ class Clock:
         return self.now
 
 
-def test_a_timetable_leaves_the_later_stages_their_time():
+@pytest.fixture
+def ahead():
+    """A plan for 100 s that began at 100 s, its timetable, and what it notes."""
     clock, keeping = Clock(), Keeping()
-    plan = plan_budget(100.0, settings_for("standard"), figures(), BENCH)
-    table = timetable(plan, figures(), BENCH, keeping, began=100.0, clock=clock)
-    over = 100.0 + AIMED_SHARE * 100.0
-    behind = dict(plan.stages)
-    assert table.appearance.ends_at == pytest.approx(over - behind["unwrap"] - behind["bake"] - behind["write"])
-    assert table.geometry.ends_at == pytest.approx(table.appearance.ends_at - behind["fit appearance"])
-    # On time, the settings stay; late, the maps shrink until the rest fits, and that is noted.
-    clock.now = table.appearance.ends_at - 0.1
-    assert table.revised(plan.settings) == plan.settings
-    assert keeping.texture_size is None
-    clock.now = over - 12.0  # unwrap 6 s, write at least 2 s
-    late = table.revised(plan.settings)
-    assert knob("texture size").read(late) == keeping.texture_size < knob("texture size").read(plan.settings)
-    words = plan_decisions(plan, keeping, 98.7)[0].evidence
-    assert "98.7 s" in words
-    assert str(keeping.texture_size) in words
+    plan = plan_budget(100.0, settings_for("standard", texture_size=1024), figures(), BENCH)
+    return plan, timetable(plan, figures(), BENCH, keeping, began=100.0, clock=clock), keeping, clock
+
+
+def test_a_timetable_leaves_the_later_stages_their_time(ahead):
+    plan, table, keeping, clock = ahead
+    over, planned = 100.0 + AIMED_SHARE * 100.0, dict(plan.stages)
+    asset = planned["unwrap"] + planned["bake"] + planned["write"]
+    # What the plan leaves over goes to both fits alike.
+    left = over - asset - 100.0 - planned["start"]
+    fits = planned["fit geometry"] + planned["fit appearance"]
+    assert table.geometry.ends_at == pytest.approx(105.0 + left * planned["fit geometry"] / fits)
+    clock.now = table.geometry.ends_at
+    settings, pace = table.appearance(plan.settings)
+    assert settings == plan.settings
+    assert pace.ends_at == pytest.approx(over - asset)
+    clock.now = pace.ends_at + 0.5 * (1 - AIMED_SHARE) * 100.0  # a little late, which what was left aside is there for
+    assert table.revised(settings) == settings
+    assert keeping.maps is None
     with pytest.raises(ValueError, match="budget"):
         timetable(replace(plan, budget_s=None), figures(), BENCH, keeping, began=0.0)
+
+
+def test_maps_shrink_where_time_ran_out_and_that_is_noted(ahead):
+    plan, table, keeping, clock = ahead
+    clock.now = 200.0 - 12.0  # unwrap 6 s, write at least 2 s
+    late = table.revised(plan.settings)
+    assert knob("texture size").read(late) == keeping.maps[0] < knob("texture size").read(plan.settings)
+    words = plan_decisions(plan, keeping, 98.7)[0].evidence
+    assert "98.7 s" in words
+    assert f"{keeping.maps[0]} texels" in words
+    clock.now = 300.0  # there is no going back: the least there is
+    assert knob("texture size").read(table.revised(plan.settings)) == 256
+
+
+def test_slow_steps_shrink_maps_before_the_second_fit_where_its_steps_are_worth_more(ahead):
+    plan, table, keeping, clock = ahead
+    finest = replace(plan.settings, bake=replace(plan.settings.bake, size=2048))
+    planned_s, steps = dict(plan.stages)["fit geometry"], plan.settings.geometry.steps_codes
+    for slower in (1.0, 3.0):
+        keeping.steps[:] = [StageKept("codes", steps, steps, slower * planned_s)]
+        clock.now = 130.0
+        settings, pace = table.appearance(finest)
+        behind = sum(s.seconds for s in predicted(settings, figures(), BENCH)[0][-3:])
+        assert pace.ends_at == pytest.approx(100.0 + AIMED_SHARE * 100.0 - behind)
+        options = {}
+        for size in (256, 512, 1024, 2048):
+            option = knob("texture size").put(finest, size)
+            stages, _ = predicted(option, figures(), BENCH)
+            left = 66.0 - sum(s.seconds for s in stages[-3:])
+            share = min(1.0, left / (slower * dict(plan.stages)["fit appearance"]))
+            factor = knob("appearance steps").read(option) * max(share, 1e-3)
+            options[size] = predicted(knob("appearance steps").put(option, factor), figures(), BENCH)[1]
+        assert options[settings.bake.size] == pytest.approx(min(options.values()))
+        assert settings.bake.size < 2048  # whose bake takes 80 of the 66 s left
+
+
+def test_the_photo_bounds_the_texture_size_of_a_budget_unless_a_size_was_asked_for():
+    free = plan_budget(100.0, settings_for("standard"), figures(), BENCH)
+    asked = plan_budget(100.0, settings_for("standard", texture_size=512), figures(), BENCH)
+    assert free.settings.texels_per_pixel == settings_for("high").texels_per_pixel
+    assert free.settings.largest_texture == free.settings.bake.size == knob("texture size").read(free.settings)
+    assert asked.settings.texels_per_pixel is None
+    assert [c.value for c in free.choices] == [c.value for c in asked.choices]
 
 
 def test_a_plan_in_json_adds_up():
