@@ -24,9 +24,21 @@ from _tradeoff_promises import Kept, promise_section
 
 
 def write_report(
-    records: Sequence[Record], sweep, command: str, threads: int, out: Path, *, promises: Sequence[Kept] = ()
+    records: Sequence[Record],
+    sweep,
+    command: str,
+    threads: int,
+    out: Path,
+    *,
+    promises: Sequence[Kept] = (),
+    curves=None,
 ) -> list[str]:
-    """Write index.html and figures.json; gives what is wrong with the presets, one line each."""
+    """Write index.html and figures.json; gives what is wrong with the presets, one line each.
+
+    Parameters
+    ----------
+    curves : figures whose curves are taken over instead of measured ones, or None
+    """
     from sira_assets.plan.figures import write_figures
     from sira_assets.plan.knobs import KNOBS
 
@@ -36,6 +48,9 @@ def write_report(
     spread = seed_spread(records)
     by_knob = {k.name: knob_settings(k, settings, base, sweep) for k in KNOBS}
     figures = planner_figures(records, by_knob, spread, command, threads)
+    if curves is not None:
+        made_by = f"{command}; curves: {curves.made_by.split('; curves: ')[-1]}"
+        figures = replace(figures, made_by=made_by, curves=curves.curves, spread=curves.spread)
     write_figures(figures, out / "figures.json")
     sections, lost = [], []
     presets = [s for s in settings if s.knob == "preset"]

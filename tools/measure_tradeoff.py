@@ -6,11 +6,15 @@ moment; accuracy is measured against the scenes' truth and the fitted field. Run
 each, and stages that a knob does not touch are not run again: the same command goes on where it was stopped.
 OUT/index.html has all curves, OUT/runs.csv every run, OUT/figures.json is what `export_avatar.py --budget` plans with.
 
+A planner's times are of the machine that measured them. `--curves FIGURES` measures the reference alone, in some
+minutes, and takes the curves from FIGURES (`shipped`: those of the package): a plan for the machine at hand.
+
 Without SCENE, scenes of the generator are made in OUT/scenes (--count, --size, --scene-seed).
 
     python tools/measure_tradeoff.py --out tradeoff --count 2
     python tools/measure_tradeoff.py --out tradeoff --promises-only --promise 60s --promise 0.5mm
     python tools/measure_tradeoff.py scenes/a scenes/b --out tradeoff --knob "texture size" --knob triangles
+    python tools/measure_tradeoff.py scenes/a scenes/b --base draft --curves shipped --out tradeoff
     python tools/measure_tradeoff.py scenes/c --out tradeoff --knob "geometry steps" --no-presets --all-runs
 """
 
@@ -38,6 +42,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--knob", action="append", default=[], metavar="NAME", help="only these; may be said again")
     p.add_argument("--knob-scenes", type=int, metavar="N", help="turn knobs on the first N scenes only")
     p.add_argument("--all-runs", action="store_true", help="report every run kept in OUT, other commands' as well")
+    p.add_argument("--curves", type=Path, metavar="FIGURES", help="measure the reference alone, with curves from here")
     p.add_argument("--no-presets", dest="presets", action="store_false", help="leave the presets out")
     p.add_argument("--prior", type=Path, action="append", default=[], help="another prior, such as a wider one")
     p.add_argument(
@@ -66,6 +71,8 @@ def main(argv: list[str] | None = None) -> int:
     p = parser()
     args = p.parse_args(argv)
     args.words = sys.argv[1:] if argv is None else argv
+    if args.curves and args.knob:
+        p.error("--curves measures no knob: leave out --knob")
     if min(args.count, args.seeds) < 1 or args.size < 32 or (args.knob_scenes or 1) < 1:
         p.error("--count, --seeds and --knob-scenes must be at least 1, --size at least 32")
     return run(lambda: body(args))
@@ -84,9 +91,11 @@ def body(args: argparse.Namespace) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     if args.quick:
         args.count, args.size, args.seeds = 1, min(args.size, 64), 1
+    curves = kept_curves(args.curves)
     scenes = args.scenes or made_scenes(args)
     priors = {"shipped": load_prior(), **{path.stem: load_prior(path) for path in args.prior}}
-    sweep = Sweep(args.base, args.seeds, tuple(args.knob), args.knob_scenes, args.presets, args.quick)
+    turned, presets = (0, False) if curves else (args.knob_scenes, args.presets)
+    sweep = Sweep(args.base, args.seeds, tuple(args.knob), turned, presets, args.quick)
     began, records = time.monotonic(), []
     for record, found in () if args.promises_only else sweep_runs(sweep, scenes, priors, args.out):
         records.append(record)
@@ -108,12 +117,24 @@ def body(args: argparse.Namespace) -> int:
         write_page("Budgets and tolerances", "", [promise_section(kept)], args.out / "promises.html")
         return 0 if all(k.holds for k in kept) else 4
     command = " ".join(["python tools/measure_tradeoff.py", *args.words])
-    lost = write_report(records, sweep, command, torch.get_num_threads(), args.out, promises=kept)
+    lost = write_report(records, sweep, command, torch.get_num_threads(), args.out, promises=kept, curves=curves)
     if not args.quiet:
         print(f"{args.out / 'index.html'}  ({len(records)} runs, {time.monotonic() - began:.0f} s)")
     for line in lost:
         print(f"dominated: {line}", file=sys.stderr)
     return 4 if lost or not all(k.holds for k in kept) else 0
+
+
+def kept_curves(path: Path | None):
+    """The figures whose curves are taken over, or None.
+
+    Raises
+    ------
+    InputError : no such file, or one that holds something else.
+    """
+    from sira_assets.plan.figures import read_figures
+
+    return None if path is None else read_figures(None if str(path) == "shipped" else path)
 
 
 def made_scenes(args: argparse.Namespace) -> list[Path]:

@@ -28,6 +28,9 @@ from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.scene.portrait import Portrait
 from sira_assets.scene.sg_light import SGLight
 
+# Processor time of a step of each stage beside a step of the light.
+WORK = {"light": 1.0, "albedo": 0.85, "specular": 1.05, "refinement": 1.25, "all at once": 1.0}
+
 
 @dataclass(frozen=True)
 class AppearanceFit:
@@ -150,7 +153,7 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
                 fit.settle_roughness(k_s=k_s(step))
 
         if aimed_at is None:
-            return Stage(name, steps, groups, losses, enter=fit.enter_early, before_step=look)
+            return Stage(name, steps, groups, losses, enter=fit.enter_early, before_step=look, work=WORK[name])
 
         def begin() -> None:
             if refine and c.steps_specular:
@@ -162,7 +165,7 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
             if not refine:
                 fit.remember_plain()
 
-        return Stage(name, steps, groups, losses, begin, enter, look)
+        return Stage(name, steps, groups, losses, begin, enter, look, WORK[name])
 
     slow = 0.3 * c.rate_light
     codes = [fit.z_a, fit.z_s]

@@ -1,5 +1,9 @@
 """How fast this machine is: three fixed pieces of work that stand for the stages of a run.
 
+Plain arrays are what the stages between the fits do with a mesh: sort its edges, gather its corners, look for nearest
+points. No one of these stands for the others: between two machines with equal networks and rays, sorting alone differed
+2.5 times and whole stages hardly.
+
 Notation: each piece is done several times and its middle time counts, so that a hiccup does not, and a machine that
 others use as well counts as it is now.
 """
@@ -13,7 +17,7 @@ from sira_assets.fields.prior import Prior
 from sira_assets.plan.figures import Benchmark
 
 # A step's points in a fit, and rays, that take some tens of milliseconds.
-POINTS, RAYS, NUMBERS = 2000, 40_000, 200_000
+POINTS, RAYS, NEAREST = 2000, 40_000, 10_000
 # Stages by what their time goes with; the others go with plain arrays.
 NETWORK_STAGES = ("fit geometry", "fit appearance", "extract", "bake", "render")
 RAY_STAGES = ("shadows",)
@@ -35,10 +39,13 @@ def benchmark(
     clock : seconds; `time.process_time` leaves out what other programs take
     """
     import torch
+    from scipy.spatial import cKDTree
 
     from sira_assets.fields.prior import freeze
     from sira_assets.fields.sa_sm import sdf_and_gradient
     from sira_assets.mesh.raycast import Raycaster
+    from sira_assets.mesh.topology import topology
+    from sira_assets.mesh.triangle_mesh import vertex_normals
 
     generator = torch.Generator(device).manual_seed(0)
     x = torch.rand(POINTS, 3, generator=generator, device=device) - 0.5
@@ -52,18 +59,24 @@ def benchmark(
         if torch.device(device).type == "cuda":
             torch.cuda.synchronize()
 
-    caster = Raycaster(_ball())
+    ball = _ball()
+    caster = Raycaster(ball)
     rng = np.random.default_rng(0)
     origins = rng.normal(size=(RAYS, 3))
     origins *= 2.0 / np.linalg.norm(origins, axis=1, keepdims=True)
     aims = rng.normal(size=(RAYS, 3)) * 0.6 - origins
     aims /= np.linalg.norm(aims, axis=1, keepdims=True)
-    numbers = rng.integers(0, 1 << 40, NUMBERS)
+
+    def arrays() -> None:
+        topology(ball)
+        vertex_normals(ball.vertices, ball.faces)
+        cKDTree(ball.vertices).query(aims[:NEAREST])
+
     try:
         return Benchmark(
             _middle(network, repeats, clock),
             _middle(lambda: caster.cast(origins, aims), repeats, clock),
-            _middle(lambda: np.unique(numbers, return_inverse=True), repeats, clock),
+            _middle(arrays, repeats, clock),
         )
     finally:
         freeze(model)

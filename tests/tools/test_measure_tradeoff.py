@@ -179,7 +179,7 @@ def test_wrong_usage(tmp_path):
 def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path, capsys):
     import measure_tradeoff
 
-    from sira_assets.plan.figures import read_figures
+    from sira_assets.plan.figures import read_figures, write_figures
 
     out = tmp_path / "t"
     command = ["--quick", "--size", "48", "--out", str(out)]
@@ -213,6 +213,16 @@ def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path, capsys):
     for options, knobs in (((), {"texture size"}), (("--all-runs",), {"geometry steps", "texture size"})):
         assert measure_tradeoff.main([*fewer, *options]) == 0
         assert {c.name for c in read_figures(out / "figures.json").curves} == knobs
+    # The reference alone, found again, with another sweep's curves.
+    curves = tmp_path / "curves.json"
+    write_figures(figures, curves)
+    assert measure_tradeoff.main([*command, "--curves", str(curves), "--quiet"]) == 0
+    mixed = read_figures(out / "figures.json")
+    assert mixed.reference == figures.reference
+    assert (mixed.curves, mixed.spread) == (figures.curves, figures.spread)
+    assert figures.made_by in mixed.made_by
+    with pytest.raises(SystemExit, match="2"):
+        measure_tradeoff.main([*command, "--curves", str(curves), "--knob", "triangles"])
 
 
 def test_settings_measured_to_different_ends_share_a_table():
