@@ -55,9 +55,11 @@ class MLP(nn.Module):
             x = nn.functional.linear(
                 x, first.weight[:, :own], nn.functional.linear(code, first.weight[:, own:], first.bias)
             )
-        x = nn.functional.silu(x)
+        # Nothing looks back at what a layer gave unless a gradient does.
+        in_place = not torch.is_grad_enabled()
+        x = nn.functional.silu(x, inplace=in_place)
         for layer in rest:
-            x = nn.functional.silu(layer(x))
+            x = nn.functional.silu(layer(x), inplace=in_place)
         # Under autocast the hidden layers may run in bfloat16; a distance needs the digits of float32.
         with torch.autocast(x.device.type, enabled=False):
             return self.out(x.to(self.out.weight.dtype))

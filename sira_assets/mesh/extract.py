@@ -44,7 +44,7 @@ class ExtractConfig:
     cell_m: float = 0.002
     tolerance_mm: float | None = None
     coarsest_m: float = 0.016
-    lipschitz: float = 2.0
+    lipschitz: float = 1.5
     zero_m: float = 1e-6
     polish: bool = True
     max_cells: int = 20_000_000
