@@ -21,6 +21,8 @@ from sira_assets.plan.machine import speed
 PLANNED_SHARE = 0.92
 # Between two measured values of a knob in steps, so many are offered.
 BETWEEN = 3
+# What is this near the best, in steps worth seeing, is as good: seeds alone move a run by more.
+AS_GOOD = 0.5
 
 
 @dataclass(frozen=True)
@@ -106,11 +108,11 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     -----
     From the draft's values upwards (the preset's, where they are cheaper), or from every knob's cheapest where the
     draft takes too long, always the step that buys most per second and still fits (the greedy rule for a knapsack of
-    convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503). Nothing is saved below the draft for the sake
-    of another knob: the curves are of procedural heads, and photographs are further from the models. Then, cheapest
-    first, the preset's own value of any knob that stands below it, where time is left: the curves are of a few scenes,
-    and what those had no use for this one may need. The texture size is the most that the time allows: where the photo
-    shows less, a run makes its maps smaller.
+    convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503), as long as a knob is not as good as at its
+    best. Nothing is saved below the draft for the sake of another knob: the curves are of procedural heads, and
+    photographs are further from the models. Then, cheapest first, the preset's own value of any knob that stands below
+    it, where time is left: the curves are of a few scenes, and what those had no use for this one may need. The texture
+    size is the most that the time allows: where the photo shows less, a run makes its maps smaller.
     """
     offers = {k: _offers(k, curve, figures, here) for k in KNOBS if (curve := figures.curve(k.name)) is not None}
     level = dict.fromkeys(offers, 0)
@@ -185,7 +187,8 @@ def _value(knob: Knob, position: Position, curve: KnobCurve) -> Value:
 
 
 def _offers(knob: Knob, curve: KnobCurve, figures: Figures, here: Benchmark) -> list[Position]:
-    """The knob's values worth having, cheapest first: on the convex hull of its own curve, the others as referenced."""
+    """The knob's values worth having, cheapest first: on the convex hull of its own curve, the others as referenced, up
+    to the first that is as good as the best."""
     positions: list[Position] = []
     for i in range(len(curve.points)):
         positions.append((i, i, 0.0))
@@ -193,7 +196,9 @@ def _offers(knob: Knob, curve: KnobCurve, figures: Figures, here: Benchmark) -> 
             positions += [(i, i + 1, n / (BETWEEN + 1)) for n in range(1, BETWEEN + 1)]
     costs = [_seconds({knob.name: p}, figures, here) for p in positions]
     losses = [_between(curve.losses(), p) for p in positions]
-    return [positions[i] for i in convex_steps(costs, losses)]
+    hull = convex_steps(costs, losses)
+    enough = next(n for n, i in enumerate(hull) if losses[i] <= min(losses) + AS_GOOD)
+    return [positions[i] for i in hull[: enough + 1]]
 
 
 def _beyond(
