@@ -19,9 +19,9 @@ from sira_assets.plan.planner import Plan, predicted
 
 # Writing files is planned as well, but a stage can only be hurried while it fits: aim a little early.
 AIMED_SHARE = 0.96
-# A machine that turns out faster buys more steps than planned, up to so many times as many. With the geometry's as many
-# as standard has, faces gain no more (its curve; five heads were 0.1 mm worse with twice as many).
-MOST_GEOMETRY, MOST_APPEARANCE = 1.25, 2.0
+# A machine that turns out faster buys more steps than planned, up to so many times as many, and as many times the
+# default's as the curves say anything is gained by: geometry, appearance.
+MOST, BEST_GEOMETRY, BEST_APPEARANCE = 2.0, 1.0, 2.0
 # Steps beside their plan, at most and at least: a benchmark of a second is not wrong by more.
 SLOWEST, FASTEST = 4.0, 0.5
 
@@ -62,7 +62,9 @@ def timetable(
     spare = over - began - plan.seconds
     behind_geometry = plan.after("fit geometry") + spare * appearance_s / max(geometry_s + appearance_s, 1e-30)
     steps = knob("appearance steps")
-    most_geometry = min(max(1.0, 1.0 / knob("geometry steps").read(plan.settings)), MOST_GEOMETRY)
+
+    def pace(ends_at: float, best: float, planned: float) -> Pace:
+        return Pace(ends_at, min(max(1.0, best / planned), MOST), clock, keeping.steps.append)
 
     def behind(settings: Settings) -> float:
         stages, _ = predicted(settings, figures, here)
@@ -85,7 +87,7 @@ def timetable(
             return predicted(fewer, figures, here)[1]
 
         settings = noted(settings, min(_no_larger_maps(settings), key=loss))
-        return settings, Pace(over - behind(settings), MOST_APPEARANCE, clock, keeping.steps.append)
+        return settings, pace(over - behind(settings), BEST_APPEARANCE, steps.read(settings))
 
     def revised(settings: Settings) -> Settings:
         """The best maps that the time left is enough for; nothing is aimed at early any more."""
@@ -93,7 +95,8 @@ def timetable(
         in_time = [o for o in options if behind(o) <= left] or options[-1:]
         return noted(settings, min(in_time, key=lambda o: predicted(o, figures, here)[1]))
 
-    return Timetable(Pace(over - behind_geometry, most_geometry, clock, keeping.steps.append), appearance, revised)
+    geometry = pace(over - behind_geometry, BEST_GEOMETRY, knob("geometry steps").read(plan.settings))
+    return Timetable(geometry, appearance, revised)
 
 
 def _no_larger_maps(settings: Settings) -> Iterator[Settings]:

@@ -235,6 +235,19 @@ def test_slow_steps_shrink_maps_before_the_second_fit_where_its_steps_are_worth_
         assert settings.bake.size < 2048  # whose bake takes 80 of the 66 s left
 
 
+@pytest.mark.parametrize(
+    ("factor", "most"), [(0.25, (2.0, 2.0)), (0.8, (1.25, 2.0)), (1.6, (1.0, 1.25)), (2.0, (1.0, 1.0))]
+)
+def test_time_left_over_buys_no_more_steps_than_the_curves_say_are_of_use(ahead, factor, most):
+    plan, keeping = ahead[0], Keeping()
+    settings = plan.settings
+    for name in ("geometry steps", "appearance steps"):
+        settings = knob(name).put(settings, factor)
+    table = timetable(replace(plan, settings=settings), figures(), BENCH, keeping, began=100.0, clock=Clock())
+    found = (table.geometry.most, table.appearance(settings)[1].most)
+    assert found == pytest.approx(most, rel=0.01)  # steps are whole
+
+
 def test_the_photo_bounds_the_texture_size_of_a_budget_unless_a_size_was_asked_for():
     free = plan_budget(100.0, settings_for("standard"), figures(), BENCH)
     asked = plan_budget(100.0, settings_for("standard", texture_size=512), figures(), BENCH)
