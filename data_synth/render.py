@@ -14,6 +14,7 @@ import numpy as np
 from data_synth.render_light import F0_DIELECTRIC, direct_light
 from data_synth.render_source import LightSource, SGSource
 from sira_assets.errors import InputError
+from sira_assets.mesh.open3d_core import open3d_core
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.sg_light import SGLight
@@ -117,7 +118,7 @@ class RayScene:
     """
 
     def __init__(self, surface: Surface, *, threads: int = 1):
-        import open3d as o3d
+        o3d = open3d_core()
 
         self.surface, self.threads = surface, threads
         mesh, coordinates = surface.mesh, np.asarray(surface.material_coordinates)

@@ -26,6 +26,7 @@ from data_synth.head.template import (
     template_from_json,
     template_to_json,
 )
+from sira_assets.mesh.open3d_core import open3d_core
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def _capped(vertices: np.ndarray, faces: np.ndarray, below_m: float = -0.1) -> t
 
 def outer_surface(vertices: np.ndarray, faces: np.ndarray, directions: int = 96, need: int = 3) -> np.ndarray:
     """Faces that see the outside in at least ``need`` of ``directions`` directions (either side tried)."""
-    import open3d as o3d
+    o3d = open3d_core()
 
     rng = np.random.default_rng(0)
     w = rng.normal(size=(directions, 3))
@@ -115,7 +116,7 @@ def draw_samples(vertices_m: np.ndarray, faces: np.ndarray, config: CalibrationC
     A sample is kept only where its closest point lies inside a face rather than on the open border, that is where
     the offset is along the closest normal; there the sign of the offset is the sign of the distance.
     """
-    import open3d as o3d
+    o3d = open3d_core()
 
     rng = np.random.default_rng(config.seed)
     v = vertices_m * 1000.0

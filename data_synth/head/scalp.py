@@ -13,6 +13,7 @@ import numpy as np
 from data_synth.head.grid import evaluate_template, graded_axis
 from data_synth.head.template import Primitives, Template, load_template
 from data_synth.one_thread import one_thread
+from sira_assets.mesh.open3d_core import open3d_core
 
 EAR_NAMES = (
     "ear",
@@ -69,9 +70,9 @@ class ScalpDistance:
 @one_thread
 def scalp_distance(step_mm: float = 5.0) -> ScalpDistance:
     """Computed once per process; linear interpolation of it errs by about step^2 / (8 * 70 mm) on the skull."""
-    import open3d as o3d
     from skimage.measure import marching_cubes
 
+    o3d = open3d_core()
     half = graded_axis((0.0, 200.0), (step_mm,))
     x = np.concatenate([-half[:0:-1], half])
     y, z = graded_axis((-235.0, 165.0), (step_mm,)), graded_axis((-235.0, 70.0), (step_mm,))

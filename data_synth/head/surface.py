@@ -13,6 +13,7 @@ import numpy as np
 from data_synth.head.grid import extract, template_grid
 from data_synth.head.population import load_population
 from data_synth.one_thread import one_thread
+from sira_assets.mesh.open3d_core import open3d_core
 
 ANCHOR_COUNT = 400
 
@@ -29,7 +30,7 @@ class BaldSurface:
 
 def closest_on_mesh(vertices_m: np.ndarray, faces: np.ndarray, points_m: np.ndarray) -> np.ndarray:
     """Closest surface points (N, 3)."""
-    import open3d as o3d
+    o3d = open3d_core()
 
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.core.Tensor(vertices_m.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))

@@ -73,7 +73,7 @@ def fit_appearance(
 
     Parameters
     ----------
-    surface_canonical : the fitted surface as triangles, canonical metres; it casts the shadows
+    surface_canonical : the fitted surface as triangles, canonical metres; rays meet it, and it casts the shadows
     checkpoint : where the state is kept while the fit runs; one of this very fit is gone on from
     pace : when to be over, in place of the steps planned; not together with a checkpoint
     report : called with (steps done, steps in all)
@@ -81,10 +81,11 @@ def fit_appearance(
     c = config
     device = geometry.z_sdf.device
     generator = torch.Generator(device).manual_seed(c.seed + 1)
-    surface = _seen_surface(portrait, geometry, c, generator)
-    caster = Raycaster(surface_canonical) if c.shadows else None
-    shadows = FitShadows(caster, c.rays, device=device) if caster is not None else None
-    fit = AppearanceLosses(c, prior, surface, hidden_surface(portrait, geometry, generator), shadows)
+    caster = Raycaster(surface_canonical)
+    surface = _seen_surface(portrait, geometry, caster, c, generator)
+    hidden = hidden_surface(portrait, geometry, surface_canonical, generator)
+    shadows = FitShadows(caster, c.rays, device=device) if c.shadows else None
+    fit = AppearanceLosses(c, prior, surface, hidden, shadows)
     record = run_stages(
         _stages(fit, c), fit.state(), seed=c.seed, device=device, checkpoint=checkpoint, pace=pace, report=report
     )
@@ -126,10 +127,14 @@ def fit_appearance(
 
 
 def _seen_surface(
-    portrait: Portrait, geometry: GeometryFit, c: AppearanceFitConfig, generator: torch.Generator
+    portrait: Portrait,
+    geometry: GeometryFit,
+    caster: Raycaster,
+    c: AppearanceFitConfig,
+    generator: torch.Generator,
 ) -> SurfacePoints:
     """The seen surface, at most `max_surface` points of it."""
-    surface = visible_surface(portrait, geometry, at_most=2 * c.max_surface, generator=generator)
+    surface = visible_surface(portrait, geometry, caster, at_most=2 * c.max_surface, generator=generator)
     require_pixels(int(surface.rays.usable.sum()), int(portrait.mask.sum()))
     if len(surface) > c.max_surface:
         chosen = torch.randperm(len(surface), generator=generator, device=surface.x.device)[: c.max_surface]

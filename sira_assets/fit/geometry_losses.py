@@ -18,6 +18,10 @@ from sira_assets.fit.pixels import CUT_Y_M
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
 from sira_assets.render.tracing import TraceConfig, differentiable_hit
 
+# Rays that are traced to see where the silhouette is wrong, for each step that then mends it: a tenth of its time.
+ATTENDED_FOR_A_STEP = 400
+# A pixel of the mask is covered for good where its ray goes this deep (network units: 0.1 mm).
+COVERED = 0.001
 # Over this distance (network units: 1 cm) the change of the deformation should be even.
 SLOPE_REACH = 0.1
 
@@ -105,6 +109,7 @@ class GeometryLosses:
         }
         for name, rays in (("inside", self.inside), ("edge", self.edge)):
             own |= {f"{name}_index": rays.index, f"{name}_t": rays.t, f"{name}_hit": rays.hit}
+            own[f"{name}_lowest"] = rays.lowest
         own["edge_weight"] = self.edge.weight
         for name, model in (("model", self.model), ("before", self.before)):
             own |= {f"{name}.{key}": value for key, value in model.state_dict().items()}
@@ -132,7 +137,8 @@ class GeometryLosses:
     def begin_cover(self) -> None:
         """Take the present state as what phase C should keep, and look where the silhouette is wrong."""
         self.remember()
-        self.edge.attend(self.config.attention, self.model, self.codes()[0], self.pose, self.config.trace)
+        most = ATTENDED_FOR_A_STEP * max(self.config.steps_cover, 1)
+        self.edge.attend(self.config.attention, most, self.model, self.codes()[0], self.pose, self.config.trace)
 
     def open_cover(self) -> None:
         """Let gradients reach the deformation; the colours have had their say."""
@@ -212,9 +218,11 @@ class GeometryLosses:
     def _silhouette(self, z_sdf: Tensor, generator: torch.Generator) -> Tensor:
         """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
         c = self.config
-        # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside.
+        # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside. In phase C
+        # a ray that just grazes is drawn in as well, or rays that were won are lost as soon as nothing holds them.
         hit, inside = self.edge.hit, self.edge.every.in_mask[self.edge.index]
-        chance = torch.where(hit & inside, 0.0, torch.where(hit == inside, 0.2, 1.0))
+        content = hit & inside & (self.edge.lowest < -COVERED if self.covering else True)
+        chance = torch.where(content, 0.0, torch.where(hit | inside, 1.0, 0.2))
         chosen = self.edge.draw(c.band_rays, generator, chance)
         rays = self.edge.drawn(chosen)
         origins, directions = corrected(self.pose, rays.origins, rays.directions)

@@ -13,12 +13,9 @@ from sira_assets.fit.pixels import PixelRays
 from sira_assets.fit.pose import PoseCorrection, corrected
 from sira_assets.render.tracing import TraceConfig, sphere_trace
 
-# Rays that are traced to see where the silhouette is wrong: some seconds of processor time.
-MOST_ATTENDED = 80_000
-
 
 class KeptRays:
-    """Some of a photo's rays, with the hit that each had last; `index`, `t` and `hit` change in place.
+    """Some of a photo's rays, with the hit that each had last; `index`, `t`, `hit` and `lowest` change in place.
 
     Parameters
     ----------
@@ -32,6 +29,7 @@ class KeptRays:
         self.index = torch.arange(min(count, len(every)), device=weight.device)
         self.t = torch.zeros_like(every.origins[: len(self.index), 0])
         self.hit = torch.zeros_like(every.in_mask[: len(self.index)])
+        self.lowest = torch.zeros_like(self.t)
 
     @property
     def rays(self) -> PixelRays:
@@ -53,28 +51,39 @@ class KeptRays:
         self.hit.copy_(hits.hit)
 
     def attend(
-        self, attention: float, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, config=TraceConfig()
+        self,
+        attention: float,
+        at_most: int,
+        model: ShapeAppearanceModel,
+        z_sdf: Tensor,
+        pose: PoseCorrection,
+        config=TraceConfig(),
     ) -> None:
-        """Trace all rays (of very many every so many) and follow those on the wrong side of the silhouette `attention`
-        times as often from then on."""
-        step = -(-len(self.every) // MOST_ATTENDED)
+        """Trace all rays and follow those on the wrong side of the silhouette `attention` times as often from then on.
+
+        Of more than `at_most` every so many are traced, and stand for those behind them: rays come row by row.
+        """
+        step = -(-len(self.every) // at_most)
         low, high = (self.t.new_tensor(b / UNIT_M) for b in BOUNDS_M)
         for part in torch.arange(0, len(self.every), step, device=self.t.device).split(CHUNK):
             rays = self.every.select(part)
             with torch.no_grad():
                 origins, directions = corrected(pose, rays.origins, rays.directions)
                 hit = sphere_trace(lambda x: model(x, z_sdf)[0], origins, directions, low, high, config).hit
-            self.weight[part] = torch.where(hit == rays.in_mask, 1.0, attention)
+            wrong = (hit != rays.in_mask).repeat_interleave(step)[: len(self.every) - int(part[0])]
+            self.weight[part[0] : part[0] + len(wrong)] = torch.where(wrong, attention, 1.0)
 
     def deepest(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection, reach=0.6, samples=12) -> None:
-        """Move each hit to the lowest f within `reach` behind it: how far a wrong hit is inside."""
+        """Move each hit to the lowest f within `reach` behind it, and note it: how far a hit is inside."""
         rays = self.rays
         with torch.no_grad():
             origins, directions = corrected(pose, rays.origins, rays.directions)
             ts = self.t[:, None] + torch.linspace(0.0, reach, samples, device=self.t.device)
             points = origins[:, None] + ts[..., None] * directions[:, None]
             f = model(points.reshape(-1, 3), z_sdf)[0].view(ts.shape)
-            self.t.copy_(torch.where(self.hit, ts.gather(1, f.argmin(1, keepdim=True))[:, 0], self.t))
+            lowest, at = f.min(1)
+            self.lowest.copy_(lowest)
+            self.t.copy_(torch.where(self.hit, ts.gather(1, at[:, None])[:, 0], self.t))
 
     def draw(self, count: int, generator: torch.Generator, where: Tensor) -> Tensor:
         """At most `count` of the rays followed, drawn by `where`; their positions among them."""

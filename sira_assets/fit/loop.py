@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from sira_assets.fit.pace import Pace, StageKept, progress
+from sira_assets.train.adam import Adam
 from sira_assets.train.batches import step_generator
 from sira_assets.train.checkpoint import load_checkpoint, read_header, save_checkpoint
 from sira_assets.train.guard import GuardedOptimiser
@@ -122,7 +123,7 @@ def run_stages(
             if done == start:
                 stage.begin()
             stage.enter()
-            optimiser = torch.optim.Adam([{"params": list(p), "lr": rate} for p, rate in stage.groups])
+            optimiser = Adam([{"params": list(p), "lr": rate} for p, rate in stage.groups])
             if done > start:
                 load_checkpoint(checkpoint.path, {"state": state}, optimiser, checkpoint.key)
             guard = GuardedOptimiser(optimiser)

@@ -9,14 +9,20 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.geometry import GeometryFit
 from sira_assets.fit.pixels import PixelRays, mask_rays
-from sira_assets.render.tracing import sphere_trace
+from sira_assets.mesh.raycast import Raycaster
+from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
+from sira_assets.render.tracing import GRAZING
 from sira_assets.scene.canonical import transform_points
 from sira_assets.scene.portrait import Portrait
+
+# From a triangle to the zero set: the first step leaves about the square of what a cell is off, the second nothing that
+# single precision shows. A step is never longer than the largest cell.
+NEWTON_STEPS = 2
+FARTHEST_STEP = 0.004 / UNIT_M
 
 
 @dataclass(frozen=True)
@@ -42,53 +48,69 @@ class SurfacePoints:
 def visible_surface(
     portrait: Portrait,
     geometry: GeometryFit,
+    surface: Raycaster,
     *,
     at_most: int | None = None,
     generator: torch.Generator | None = None,
     chunk: int = 16384,
 ) -> SurfacePoints:
-    """Trace the mask's pixels (a random `at_most` of them, in the picture's order); those that miss are left out."""
+    """Where the mask's pixels (a random `at_most` of them, in the picture's order) see the fitted surface.
+
+    Triangles give each ray its hit to within a cell, and Newton steps along the ray bring it onto the zero set: what
+    sphere tracing finds, at a tenth of its evaluations. Rays that miss are left out.
+
+    Parameters
+    ----------
+    surface : the fitted surface as triangles, canonical metres
+    """
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
     rays = mask_rays(posed, device=geometry.z_sdf.device)
     if at_most is not None and len(rays) > at_most:
         chosen = torch.randperm(len(rays), generator=generator, device=rays.origins.device)[:at_most]
         rays = rays.select(chosen.sort().values)
-    low, high = (rays.origins.new_tensor(b / UNIT_M) for b in BOUNDS_M)
-    with torch.no_grad():
-        hits = sphere_trace(lambda x: geometry.shape(x, geometry.z_sdf)[0], rays.origins, rays.directions, low, high)
-    rays = rays.select(torch.nonzero(hits.hit)[:, 0])
-    x = rays.origins + hits.t[hits.hit, None] * rays.directions
-    parts: list[list[Tensor]] = [[], [], []]
-    for piece in x.split(chunk):
-        _, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, piece, geometry.z_sdf, differentiable=False)
-        for column, value in zip(parts, (nn.functional.normalize(gradient, dim=-1), x_ref, gamma), strict=True):
+    hits = surface.cast(UNIT_M * rays.origins.double().cpu().numpy(), rays.directions.double().cpu().numpy())
+    rays = rays.select(torch.as_tensor(np.flatnonzero(hits.hit), device=rays.origins.device))
+    ts = torch.as_tensor(hits.t[hits.hit] / UNIT_M, dtype=rays.origins.dtype, device=rays.origins.device)
+    parts: list[list[Tensor]] = [[], [], [], []]
+    for origins, directions, t in zip(*(c.split(chunk) for c in (rays.origins, rays.directions, ts)), strict=True):
+        for step in range(NEWTON_STEPS + 1):
+            x = origins + t[:, None] * directions
+            f, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
+            if step < NEWTON_STEPS:
+                slope = (gradient * directions).sum(-1).clamp_max(-GRAZING)
+                t = t - (f / slope).detach().clamp(-FARTHEST_STEP, FARTHEST_STEP)
+        for column, value in zip(parts, (x, nn.functional.normalize(gradient, dim=-1), x_ref, gamma), strict=True):
             column.append(value.detach())
-    normals, x_ref, gamma = (torch.cat(column) for column in parts)
+    x, normals, x_ref, gamma = (torch.cat(column) for column in parts)
     return SurfacePoints(x, normals, -rays.directions, x_ref, gamma, rays)
 
 
 @torch.no_grad()
 def hidden_surface(
-    portrait: Portrait, geometry: GeometryFit, generator: torch.Generator, count: int = 4096
+    portrait: Portrait, geometry: GeometryFit, surface: TriangleMesh, generator: torch.Generator, count: int = 4096
 ) -> tuple[Tensor, Tensor]:
     """x_ref and gamma of surface points of which the photo says nothing: there the refinement is to be nothing.
 
-    Random points of the head's box, brought to the surface by Newton steps and kept where it faces away from the camera
-    or is seen beside the mask, two pixels or more from it; a hole in the mask is bridged by what is around it.
+    Middles of faces, drawn by area, that face away from the camera or are seen beside the mask, two pixels or more from
+    it; a hole in the mask is bridged by what is around it.
+
+    Parameters
+    ----------
+    surface : the fitted surface, canonical metres
     """
     device = geometry.z_sdf.device
-    low, high = (torch.as_tensor(b / UNIT_M, dtype=torch.float32, device=device) for b in BOUNDS_M)
-    x = low + (high - low) * torch.rand(4 * count, 3, generator=generator, device=device)
-    for _ in range(6):
-        f, gradient, _, _ = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
-        x = x - (f / gradient.square().sum(-1).clamp_min(0.25))[:, None] * gradient
-    f, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
+    normals = face_cross_products(surface.vertices, surface.faces)
+    area = torch.as_tensor(np.linalg.norm(normals, axis=1), device=device)
+    face = torch.multinomial(area, 4 * count, replacement=True, generator=generator).cpu().numpy()
+    x_m = surface.vertices[surface.faces[face]].mean(1)
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
-    away, beside = _unseen(posed, UNIT_M * x.double().cpu().numpy(), gradient.double().cpu().numpy())
-    keep = torch.nonzero((f.abs() < 0.01) & torch.as_tensor(away | beside, device=device))[:, 0][:count]
-    if len(keep) == 0:
-        keep = torch.arange(min(count, len(x)), device=x.device)
-    return x_ref[keep].detach(), gamma[keep].detach()
+    away, beside = _unseen(posed, x_m, normals[face])
+    keep = np.flatnonzero(away | beside)[:count]
+    if not len(keep):
+        keep = np.arange(count)
+    x = torch.as_tensor(x_m[keep] / UNIT_M, dtype=torch.float32, device=device)
+    delta, gamma = geometry.shape.deform(x, geometry.z_sdf)
+    return x + delta, gamma
 
 
 def _unseen(portrait: Portrait, x_m: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

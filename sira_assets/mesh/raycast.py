@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sira_assets.errors import InputError
+from sira_assets.mesh.open3d_core import open3d_core
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 
 
@@ -49,8 +50,7 @@ class Raycaster:
     """A mesh ready to be asked. Single precision inside: 1e-7 of the mesh's size."""
 
     def __init__(self, mesh: TriangleMesh):
-        import open3d
-
+        open3d = open3d_core()
         if not len(mesh.faces):
             raise InputError(expected="a mesh with faces", received="none", remedy="check the mesh file")
         self._mesh = mesh
@@ -68,8 +68,7 @@ class Raycaster:
         return self._mesh
 
     def _rays(self, origins: np.ndarray, directions: np.ndarray):
-        import open3d
-
+        open3d = open3d_core()
         origins = np.asarray(origins, np.float64).reshape(-1, 3)
         rays = np.empty((len(origins), 6), np.float32)
         rays[:, :3] = origins - self._centre
@@ -98,8 +97,7 @@ class Raycaster:
 
     def closest(self, points: np.ndarray) -> ClosestPoints:
         """Nearest surface points of (N, 3) points."""
-        import open3d
-
+        open3d = open3d_core()
         points = np.asarray(points, np.float64).reshape(-1, 3)
         query = open3d.core.Tensor(np.ascontiguousarray(points - self._centre, np.float32))
         result = self._scene.compute_closest_points(query)
@@ -109,7 +107,6 @@ class Raycaster:
 
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Distance (N,) of points (N, 3) to the surface, the mesh's unit, negative inside; needs a watertight mesh."""
-        import open3d
-
+        open3d = open3d_core()
         query = open3d.core.Tensor(np.ascontiguousarray(points - self._centre, np.float32))
         return self._scene.compute_signed_distance(query).numpy().astype(np.float64)

@@ -8,6 +8,7 @@ import numpy as np
 from sira_assets.errors import InputError
 from sira_assets.mesh.clean import clean_mesh
 from sira_assets.mesh.field_distance import SurfaceGap, mesh_distance
+from sira_assets.mesh.open3d_core import open3d_core
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.topology import topology
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
@@ -176,8 +177,7 @@ def _meshlab(importance: np.ndarray):
 
 
 def _open3d(mesh: TriangleMesh, max_triangles: int) -> tuple[np.ndarray, np.ndarray]:
-    import open3d
-
+    open3d = open3d_core()
     legacy = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
     )

@@ -100,11 +100,13 @@ def nonmanifold_vertices(mesh: TriangleMesh) -> np.ndarray:
     at = np.concatenate([faces[:, k] for k in range(3)] * 2)
     other = np.concatenate([faces[:, (k + 1) % 3] for k in range(3)] + [faces[:, (k + 2) % 3] for k in range(3)])
     node = np.concatenate([corner[:, k] for k in range(3)] * 2)
-    order = np.lexsort((other, at))
-    same = (at[order][1:] == at[order][:-1]) & (other[order][1:] == other[order][:-1])
-    a, b = node[order][1:][same], node[order][:-1][same]
-    graph = coo_matrix((np.ones(len(a), bool), (a, b)), shape=(faces.size, faces.size))
-    _, label = connected_components(graph, directed=False)
-    pairs = np.unique(np.stack([faces.reshape(-1), label], 1), axis=0)
-    vertex, fans = np.unique(pairs[:, 0], return_counts=True)
-    return vertex[fans > 1]
+    directed = at * len(mesh.vertices) + other
+    order = np.argsort(directed, kind="stable")
+    directed, node = directed[order], node[order]
+    same = directed[1:] == directed[:-1]
+    graph = coo_matrix((np.ones(int(same.sum()), bool), (node[1:][same], node[:-1][same])), shape=(faces.size,) * 2)
+    count, fan = connected_components(graph, directed=False)
+    # Corners are linked at one vertex only, so each fan has one.
+    vertex = np.empty(count, np.int64)
+    vertex[fan] = faces.reshape(-1)
+    return np.flatnonzero(np.bincount(vertex) > 1)

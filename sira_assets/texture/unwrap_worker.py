@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sira_assets.mesh.open3d_core import open3d_core
+
 
 def xatlas_charts(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """xatlas's charts."""
@@ -33,8 +35,7 @@ def xatlas_charts(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, 
 
 def uvatlas_charts(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Open3D's UVAtlas; the input must be manifold."""
-    import open3d
-
+    open3d = open3d_core()
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     mesh = open3d.t.geometry.TriangleMesh(
         open3d.core.Tensor(vertices.astype(np.float32)), open3d.core.Tensor(faces.astype(np.int64))

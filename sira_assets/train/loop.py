@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from sira_assets.errors import InputError
+from sira_assets.train.adam import Adam
 from sira_assets.train.checkpoint import load_checkpoint, save_checkpoint
 from sira_assets.train.guard import GuardedOptimiser
 from sira_assets.train.parallel import Share
@@ -37,9 +38,9 @@ class Trainee:
         """All of it, networks first."""
         return [*self.networks.parameters(), *self.codes.values()]
 
-    def optimiser(self) -> torch.optim.Adam:
+    def optimiser(self) -> Adam:
         """Adam with the two rates."""
-        return torch.optim.Adam(
+        return Adam(
             [
                 {"params": list(self.networks.parameters()), "lr": self.rate},
                 {"params": list(self.codes.values()), "lr": self.code_rate},

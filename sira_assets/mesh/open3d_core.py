@@ -1,0 +1,23 @@
+"""Open3D without what its import brings along for others.
+
+`import open3d` also imports its learning part, and with it scikit-learn and pandas: half of the two seconds it takes,
+in every run and again in every process that cuts charts.
+"""
+
+import sys
+from types import ModuleType
+
+_LEARNING = "open3d.ml"
+
+
+def open3d_core() -> ModuleType:
+    """The module `open3d`; its `open3d.ml` is imported only by who asks for it."""
+    if "open3d" in sys.modules:
+        return sys.modules["open3d"]
+    # A module that is there already is not looked for; taken away again, it will be when somebody imports it.
+    sys.modules[_LEARNING] = ModuleType(_LEARNING)
+    try:
+        import open3d
+    finally:
+        del sys.modules[_LEARNING]
+    return open3d
