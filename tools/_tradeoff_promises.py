@@ -1,7 +1,8 @@
 """Whether budgets and tolerances are kept: `export_avatar.py` as a user runs it, timed from outside and measured.
 
 Notation: a promise is "60s" or "0.5mm"; kept is what it came to, in the same unit; one that the tool refuses in words
-is no promise, and counts as refused.
+is no promise, and counts as refused. s is the standard deviation of a measure over seeds, pooled over the scenes and
+the two budgets that are compared; two means of n seeds differ by s sqrt(2 / n) by chance.
 """
 
 import json
@@ -13,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,11 @@ import sira_assets
 
 # A budget is kept within this share of it.
 WITHIN = 0.2
+# A longer budget is worse where a scene is by more than three times what chance does, or all scenes on average by two:
+# some thirty scenes and steps are looked at, and one of a few.
+BEYOND_ONE, BEYOND_MEAN = 3.0, 2.0
+# What a budget buys, and its sign: 1 where less is better.
+BOUGHT = {"face_mm": 1.0, "final_psnr_db": -1.0}
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class Kept:
     kept: float | None
     planned_s: float | None
     measures: dict[str, float]
+    seed: int = 0
 
     @property
     def holds(self) -> bool:
@@ -54,25 +62,27 @@ class Kept:
         return self.kept <= self.asked * (1.0 + WITHIN if self.promise.endswith("s") else 1.0)
 
 
-def promise_runs(promises: Sequence[str], scenes: Sequence[Path], out: Path) -> Iterator[tuple[Kept, bool]]:
-    """Every promise on every scene, and whether it was found instead of made."""
+def promise_runs(
+    promises: Sequence[str], scenes: Sequence[Path], out: Path, seeds: int = 1
+) -> Iterator[tuple[Kept, bool]]:
+    """Every promise on every scene with every seed, and whether it was found instead of made."""
     from sira_assets.atomic import write_text
 
     folder = out / "promises"
     folder.mkdir(parents=True, exist_ok=True)
     for path in scenes:
         scene = read_measured(path)
-        for promise in promises:
-            file = folder / f"{digest((sira_assets.__version__, scene.portrait, promise))}.json"
+        for seed, promise in ((seed, promise) for seed in range(seeds) for promise in promises):
+            file = folder / f"{digest((sira_assets.__version__, scene.portrait, promise, seed))}.json"
             if file.is_file():
                 yield Kept(**json.loads(file.read_text(encoding="utf-8"))), True
                 continue
-            kept = promised(promise, path, scene, out / "figures.json")
+            kept = promised(promise, path, scene, out / "figures.json", seed)
             write_text(file, json.dumps(asdict(kept), indent=1) + "\n")
             yield kept, False
 
 
-def promised(promise: str, path: Path, scene, figures: Path) -> Kept:
+def promised(promise: str, path: Path, scene, figures: Path, seed: int = 0) -> Kept:
     """Run the command, planned with these figures if they are there, and measure what it wrote."""
     from sira_assets.measure.truth import read_mesh
 
@@ -82,6 +92,7 @@ def promised(promise: str, path: Path, scene, figures: Path) -> Kept:
     with tempfile.TemporaryDirectory(prefix="sira-promise-") as there:
         target = Path(there) / "avatar"
         command = [sys.executable, str(tool), str(path), option, promise, "--out", str(target), "--json"]
+        command += ["--seed", str(seed)]
         if option == "--budget" and figures.is_file():
             command += ["--figures", str(figures)]
         package = str(Path(sira_assets.__file__).resolve().parents[1])
@@ -90,7 +101,7 @@ def promised(promise: str, path: Path, scene, figures: Path) -> Kept:
         done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": parts})
         seconds = time.monotonic() - began
         if done.returncode == 3:
-            return Kept(scene.name, promise, asked, None, None, {})
+            return Kept(scene.name, promise, asked, None, None, {}, seed)
         if done.returncode:
             raise RuntimeError(f"{' '.join(command)}\n{done.stderr[-2000:]}")
         report = json.loads((target / "report.json").read_text(encoding="utf-8"))
@@ -103,7 +114,83 @@ def promised(promise: str, path: Path, scene, figures: Path) -> Kept:
         said = [d["evidence"] for d in report["decisions"] if d["what"] == "plan"]
         planned = float(re.search(r"planned ([\d.]+) s", said[0])[1]) if said else None
         kept = seconds if option == "--budget" else measures["mesh_gap_max_mm"]
-    return Kept(scene.name, promise, asked, kept, planned, measures)
+    return Kept(scene.name, promise, asked, kept, planned, measures, seed)
+
+
+@dataclass(frozen=True)
+class More:
+    """One measure, a budget and the next longer one; changes are positive where the longer is worse.
+
+    Parameters
+    ----------
+    change, chance : mean over scenes, and what chance does to it; nan where no scene has two seeds
+    worst : the scene that loses most
+    worst_change, worst_chance : the same of it
+    """
+
+    measure: str
+    shorter: str
+    longer: str
+    change: float
+    chance: float
+    worst: str
+    worst_change: float
+    worst_chance: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether more time made it worse, beyond chance."""
+        return self.change > BEYOND_MEAN * self.chance or self.worst_change > BEYOND_ONE * self.worst_chance
+
+
+def bought(kept: Sequence[Kept]) -> list[More]:
+    """What each longer budget does beside the next shorter one, on the scenes that have both."""
+    budgets = sorted({(k.asked, k.promise) for k in kept if k.promise.endswith("s")})
+    out = []
+    for measure, sign in BOUGHT.items():
+        groups: dict[tuple[str, str], list[float]] = {}
+        for k in kept:
+            if k.kept is not None and measure in k.measures:
+                groups.setdefault((k.scene, k.promise), []).append(sign * k.measures[measure])
+        for (_, shorter), (_, longer) in pairwise(budgets):
+            scenes = [s for s in dict.fromkeys(k.scene for k in kept) if {(s, shorter), (s, longer)} <= set(groups)]
+            if not scenes:
+                continue
+            pairs = [(groups[s, shorter], groups[s, longer]) for s in scenes]
+            several = [g for pair in pairs for g in pair if len(g) > 1]
+            freedom = sum(len(g) - 1 for g in several)
+            squares = sum(np.var(g) * len(g) for g in several)
+            deviation = float(np.sqrt(squares / freedom)) if freedom else float("nan")
+            changes = [float(np.mean(b) - np.mean(a)) for a, b in pairs]
+            chances = [deviation * float(np.sqrt(1 / len(a) + 1 / len(b))) for a, b in pairs]
+            worst = int(np.argmax(changes))
+            mean_chance = float(np.sqrt(np.square(chances).sum())) / len(pairs)
+            whole = float(np.mean(changes)), mean_chance
+            out.append(More(measure, shorter, longer, *whole, scenes[worst], changes[worst], chances[worst]))
+    return out
+
+
+def bought_section(steps: Sequence[More]) -> Section:
+    """The table of `bought`."""
+    rows = tuple(
+        (
+            m.measure,
+            f"{m.shorter} to {m.longer}",
+            f"{m.change:+.3g}",
+            f"{m.chance:.2g}",
+            m.worst,
+            f"{m.worst_change:+.3g}",
+            f"{m.worst_chance:.2g}",
+            "worse" if m.worse else "",
+        )
+        for m in steps
+    )
+    say = (
+        "What a longer budget does beside the next shorter one; above 0 it is worse. Chance is a standard deviation, "
+        f"by seeds; worse is what exceeds {BEYOND_MEAN:g} of them on average, or {BEYOND_ONE:g} on one scene."
+    )
+    head = ("measure", "budget", "mean change", "chance", "worst scene", "its change", "chance", "")
+    return Section("more time", say, None, head, rows)
 
 
 def promise_section(kept: Sequence[Kept]) -> Section:
@@ -111,7 +198,7 @@ def promise_section(kept: Sequence[Kept]) -> Section:
     names = [n for n in ("face_mm", "final_psnr_db", "asset_vs_final_psnr_db") if any(n in k.measures for k in kept)]
     rows = tuple(
         (
-            k.scene,
+            f"{k.scene}, seed {k.seed}" if k.seed else k.scene,
             k.promise,
             "refused" if k.kept is None else f"{k.kept:.3g}",
             "" if k.planned_s is None else f"{k.planned_s:.0f}",

@@ -13,6 +13,7 @@ Without SCENE, scenes of the generator are made in OUT/scenes (--count, --size, 
 
     python tools/measure_tradeoff.py --out tradeoff --count 2
     python tools/measure_tradeoff.py --out tradeoff --promises-only --promise 60s --promise 0.5mm
+    python tools/measure_tradeoff.py --out tradeoff --promises-only --promise 60s --promise 180s --promise-seeds 2
     python tools/measure_tradeoff.py scenes/a scenes/b --out tradeoff --knob "texture size" --knob triangles
     python tools/measure_tradeoff.py scenes/a scenes/b --base draft --curves shipped --out tradeoff
     python tools/measure_tradeoff.py scenes/c --out tradeoff --knob "geometry steps" --no-presets --all-runs
@@ -53,6 +54,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="TIME|LENGTH",
         help="also see whether --budget TIME (60s) or --tolerance LENGTH (0.5mm) is kept; may be said again",
     )
+    p.add_argument(
+        "--promise-seeds", type=int, default=1, help="seeds of each promise; 2 show whether time is well spent"
+    )
     p.add_argument("--promises-only", action="store_true", help="nothing but the promises")
     p.add_argument("--quick", action="store_true", help="a few tiny runs, to see that it works")
     p.add_argument("--quiet", action="store_true", help="no line for each run")
@@ -67,14 +71,17 @@ def promise(text: str) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the tool; returns the exit status: 0, 3 unusable input, 4 a preset is dominated or a promise not kept."""
+    """Run the tool; returns the exit status.
+
+    0; 2 usage; 3 unusable input; 4 where a preset is dominated, a promise not kept, or a longer budget worse.
+    """
     p = parser()
     args = p.parse_args(argv)
     args.words = sys.argv[1:] if argv is None else argv
     if args.curves and args.knob:
         p.error("--curves measures no knob: leave out --knob")
-    if min(args.count, args.seeds) < 1 or args.size < 32 or (args.knob_scenes or 1) < 1:
-        p.error("--count, --seeds and --knob-scenes must be at least 1, --size at least 32")
+    if min(args.count, args.seeds, args.promise_seeds) < 1 or args.size < 32 or (args.knob_scenes or 1) < 1:
+        p.error("--count, --seeds, --promise-seeds and --knob-scenes must be at least 1, --size at least 32")
     return run(lambda: body(args))
 
 
@@ -82,7 +89,7 @@ def body(args: argparse.Namespace) -> int:
     """Make scenes, run, write."""
     import torch
     from _tradeoff_figures import write_csv, write_page
-    from _tradeoff_promises import promise_runs, promise_section
+    from _tradeoff_promises import bought, bought_section, promise_runs, promise_section
     from _tradeoff_report import write_report
     from _tradeoff_runs import Sweep, kept_records, sweep_runs
 
@@ -108,21 +115,27 @@ def body(args: argparse.Namespace) -> int:
         records = kept_records(args.out)
         write_csv(records, args.out / "runs.csv")
     kept = []
-    for one, found in promise_runs(args.promise, scenes, args.out):
+    for one, found in promise_runs(args.promise, scenes, args.out, args.promise_seeds):
         kept.append(one)
         if not args.quiet:
             came = "refused" if one.kept is None else f"{one.kept:.3g}"
-            print(f"{one.scene}: {one.promise} asked, {came}{'  (found)' if found else ''}", flush=True)
+            print(f"{one.scene} seed {one.seed}: {one.promise} asked, {came}{'  (found)' if found else ''}", flush=True)
+    steps = bought(kept)
+    broken = any(m.worse for m in steps) or not all(k.holds for k in kept)
+    for m in steps if not args.quiet else ():
+        change = f"{m.change:+.3g} (chance {m.chance:.2g}); at worst {m.worst_change:+.3g} ({m.worst_chance:.2g})"
+        print(f"{m.measure}, {m.shorter} to {m.longer}: {change}, {m.worst}{': worse' if m.worse else ''}")
     if args.promises_only:
-        write_page("Budgets and tolerances", "", [promise_section(kept)], args.out / "promises.html")
-        return 0 if all(k.holds for k in kept) else 4
+        sections = [promise_section(kept), *([bought_section(steps)] if steps else [])]
+        write_page("Budgets and tolerances", "", sections, args.out / "promises.html")
+        return 4 if broken else 0
     command = " ".join(["python tools/measure_tradeoff.py", *args.words])
     lost = write_report(records, sweep, command, torch.get_num_threads(), args.out, promises=kept, curves=curves)
     if not args.quiet:
         print(f"{args.out / 'index.html'}  ({len(records)} runs, {time.monotonic() - began:.0f} s)")
     for line in lost:
         print(f"dominated: {line}", file=sys.stderr)
-    return 4 if lost or not all(k.holds for k in kept) else 0
+    return 4 if lost or broken else 0
 
 
 def kept_curves(path: Path | None):

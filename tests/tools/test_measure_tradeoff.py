@@ -14,6 +14,7 @@ sys.path.insert(0, str(TOOLS))
 from _tradeoff_figures import REFERENCE, Record, Setting, compared, curve_of, write_csv  # noqa: E402
 from _tradeoff_keep import FarEnough, StageKeeper, digest, measured  # noqa: E402
 from _tradeoff_measures import bare_percent  # noqa: E402
+from _tradeoff_promises import Kept, bought, bought_section, promise_section  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,59 @@ def test_wrong_usage(tmp_path):
     done = subprocess.run([*command, "nowhere", "--knob", "luck"], capture_output=True, text=True)
     assert done.returncode == 3
     assert "geometry steps" in done.stderr
+
+
+def kept(scene, seconds, face, seed=0, final=30.0, took=None):
+    measures = {"face_mm": face, "final_psnr_db": final}
+    took = seconds if took is None else took
+    return Kept(scene, f"{seconds}s", float(seconds), took, seconds, measures if took else {}, seed)
+
+
+def test_a_budget_is_kept_within_a_fifth_and_a_tolerance_altogether():
+    assert kept("a", 100, 1.0, took=119.0).holds
+    assert not kept("a", 100, 1.0, took=121.0).holds
+    assert Kept("a", "0.5mm", 0.5, 0.499, None, {}).holds
+    assert not Kept("a", "0.5mm", 0.5, 0.501, None, {}).holds
+    rows = promise_section([kept("a", 100, 1.0, took=121.0), Kept("a", "5s", 5.0, None, None, {}, 1)]).rows
+    assert [(row[0], row[2], row[-1]) for row in rows] == [("a", "121", "not kept"), ("a, seed 1", "refused", "")]
+
+
+def test_more_time_is_worse_where_chance_does_not_explain_it():
+    # Two scenes and two seeds of each budget that differ by 0.2: a deviation of sqrt(2) / 10 everywhere.
+    runs = [
+        *(kept(s, 60, f, seed) for s in "ab" for seed, f in enumerate((1.1, 0.9))),
+        *(kept("a", 180, f, seed) for seed, f in enumerate((1.3, 1.1))),
+        *(kept("b", 180, f, seed) for seed, f in enumerate((0.8, 1.0))),
+    ]
+    face, final = bought(runs)
+    assert (face.shorter, face.longer, face.worst) == ("60s", "180s", "a")
+    assert face.change == pytest.approx(0.05)
+    assert face.worst_change == pytest.approx(0.2)
+    assert face.worst_chance == pytest.approx(0.1 * np.sqrt(2.0))
+    assert face.chance == pytest.approx(0.1)
+    assert not face.worse
+    assert not final.worse
+    assert final.change == 0.0
+    # One scene far worse, and all of them a little.
+    assert bought([*runs[:4], *(replace(k, measures={"face_mm": 1.6}) for k in runs[4:6]), *runs[6:]])[0].worse
+    little = [replace(k, measures={"face_mm": k.measures["face_mm"] + (0.25 if k.asked > 60 else 0.0)}) for k in runs]
+    assert bought(little)[0].worst_change < 3.0 * bought(little)[0].worst_chance + 0.1
+    assert bought(little)[0].worse
+    assert bought_section(bought(little)).rows[0][-1] == "worse"
+
+
+def test_a_render_that_meets_the_photo_better_is_no_loss():
+    runs = [kept("a", s, 1.0, seed, final=f + 0.1 * seed) for s, f in ((60, 25.0), (180, 35.0)) for seed in (0, 1)]
+    (final,) = (m for m in bought(runs) if m.measure == "final_psnr_db")
+    assert final.change == pytest.approx(-10.0)
+    assert not final.worse
+
+
+def test_of_one_seed_or_of_refusals_nothing_is_said():
+    runs = [kept("a", 60, 1.0), kept("a", 180, 3.0)]
+    assert not any(m.worse for m in bought(runs))
+    assert bought([kept("a", 20, 1.0, took=0.0), *runs])[0].shorter == "60s"
+    assert bought([replace(runs[0], kept=None), runs[1]]) == []
 
 
 @pytest.mark.slow
