@@ -15,6 +15,8 @@ from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
 # Gentlest setting first. fast-simplification's own default, 7, has ten times the error of 3 on a 400k-face head.
 AGGRESSIVENESS = (3.0, 1.0)
+# More triangles than asked for by this share are no answer while there is another.
+FAR_TOO_MANY = 0.1
 # A tolerance is met with at most this many times the fewest triangles that meet it.
 COUNT_STEP = 1.15
 
@@ -55,13 +57,14 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int, *, importance: np.ndar
             + result.misoriented_edges
             + result.zero_area_faces
             + abs(result.boundary_edges - source.boundary_edges) * (source.boundary_edges == 0)
-            + int(flipped_faces(candidate, mesh, raycaster).sum())
         )
         too_many = max(0, len(candidate.faces) - max_triangles)
-        score = (faults, too_many)
+        # A gentle collapse may stop at many times the triangles: a face or two that look aside are the lesser evil.
+        far_too_many = too_many > FAR_TOO_MANY * max_triangles
+        score = (faults, far_too_many, int(flipped_faces(candidate, mesh, raycaster).sum()), too_many)
         if best_score is None or score < best_score:
             best, best_score = candidate, score
-        if score == (0, 0):
+        if not any(score):
             break
     return TriangleMesh(best.vertices, best.faces, transfer_normals(best.vertices, mesh, raycaster))
 

@@ -6,11 +6,12 @@ import torch
 
 from sira_assets.errors import InputError
 from sira_assets.fields.analytic import EllipsoidHead, SphereHead
+from sira_assets.mesh import simplify
 from sira_assets.mesh.clean import CleanConfig, clean_mesh, clean_with_report
 from sira_assets.mesh.extract import ExtractConfig, extract_mesh
 from sira_assets.mesh.project import ProjectConfig, project_mesh, project_points
 from sira_assets.mesh.raycast import Raycaster
-from sira_assets.mesh.simplify import barycentric, simplify_mesh
+from sira_assets.mesh.simplify import barycentric, flipped_faces, simplify_mesh
 from sira_assets.mesh.topology import nonmanifold_vertices, topology
 from sira_assets.mesh.triangle_mesh import TriangleMesh, vertex_normals
 
@@ -139,6 +140,19 @@ def test_simplified_mesh_keeps_shape_topology_and_normals(ellipsoid, target):
     gradient = (simple.vertices - np.array(exact.centre_m)) / np.array(exact.radii_m) ** 2
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
     assert (simple.normals * gradient).sum(1).min() > 0.98
+
+
+def test_many_times_the_triangles_are_worse_than_a_face_that_looks_aside(ellipsoid, monkeypatch):
+    simple = simplify_mesh(ellipsoid, 1000)
+    # A corner pushed through the far wall of the ellipsoid: its faces look back, the mesh stays one closed surface.
+    vertices = simple.vertices.copy()
+    vertices[0] = -0.9 * vertices[0]
+    aside, gentle = (vertices, simple.faces), (ellipsoid.vertices, ellipsoid.faces)
+    monkeypatch.setattr(simplify, "_fast", lambda aggressiveness: lambda mesh, count: aside)
+    monkeypatch.setattr(simplify, "_open3d", lambda mesh, count: gentle)
+    coarse = TriangleMesh(*aside)
+    assert flipped_faces(coarse, ellipsoid, Raycaster(ellipsoid)).any()
+    assert len(simplify_mesh(ellipsoid, 1000).faces) == len(simple.faces)
 
 
 def test_simplify_returns_small_meshes_as_they_are_and_refuses_nonsense(ellipsoid):
