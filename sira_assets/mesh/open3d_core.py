@@ -12,12 +12,13 @@ _LEARNING = "open3d.ml"
 
 def open3d_core() -> ModuleType:
     """The module `open3d`; its `open3d.ml` is imported only by who asks for it."""
-    if "open3d" in sys.modules:
-        return sys.modules["open3d"]
-    # A module that is there already is not looked for; taken away again, it will be when somebody imports it.
-    sys.modules[_LEARNING] = ModuleType(_LEARNING)
+    fresh = "open3d" not in sys.modules
+    if fresh:
+        # A module that is there already is not looked for; taken away again, it will be when somebody imports it.
+        sys.modules[_LEARNING] = ModuleType(_LEARNING)
     try:
-        import open3d
+        import open3d  # waits for another thread that is at it
     finally:
-        del sys.modules[_LEARNING]
+        if fresh:
+            sys.modules.pop(_LEARNING, None)
     return open3d
