@@ -2,12 +2,13 @@
 
 import argparse
 import json
+import time
 
 from sira_assets.fields.prior import Prior
 from sira_assets.pipeline import Settings, Timetable
 from sira_assets.plan.figures import read_figures
 from sira_assets.plan.machine import benchmark
-from sira_assets.plan.planner import Plan, plan_budget, plan_of
+from sira_assets.plan.planner import Plan, plan_budget, plan_of, started
 from sira_assets.plan.present import plan_json, plan_table
 from sira_assets.plan.timetable import Keeping, timetable
 from sira_assets.plan.tolerance import plan_tolerance
@@ -26,7 +27,8 @@ def asked_plan(
     ------
     InputError : a budget that this machine cannot keep.
     """
-    figures, here = read_figures(args.figures), benchmark(prior, device=device)
+    here = benchmark(prior, device=device)
+    figures = started(read_figures(args.figures), here, time.monotonic() - began)
     if args.tolerance_mm is not None:
         return plan_tolerance(args.tolerance_mm, settings, figures, here), None, None
     if not args.budget:

@@ -70,6 +70,13 @@ class Plan:
         return sum(s for _, s in self.stages[names.index(stage) + 1 :]) if stage in names else 0.0
 
 
+def started(figures: Figures, here: Benchmark, seconds: float) -> Figures:
+    """The figures of a run that took so long to set out: what is known need not be predicted."""
+    own = seconds / speed("start", here, figures.benchmark)
+    reference = tuple(replace(s, seconds=own) if s.name == "start" else s for s in figures.reference)
+    return replace(figures, reference=reference)
+
+
 def predicted(settings: Settings, figures: Figures, here: Benchmark) -> tuple[tuple[StageCost, ...], float]:
     """Stages of a run of these settings on this machine, and its loss."""
     at = {k.name: _position(k, k.read(settings), figures.curve(k.name)) for k in KNOBS if figures.curve(k.name)}
@@ -130,9 +137,9 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     else:
         chosen = {k: offers[k][0] for k in offers}
     now = total(chosen)
-    if now > limit:
+    if now > seconds:
         raise InputError(
-            expected=f"a budget that this machine can keep: {np.ceil(now / PLANNED_SHARE):.0f} s or more",
+            expected=f"a budget that this machine can keep: {np.ceil(now):.0f} s or more",
             received=f"{seconds:g} s",
             remedy="allow more time, or use a smaller photo",
         )
