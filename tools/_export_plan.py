@@ -8,7 +8,7 @@ from sira_assets.fields.prior import Prior
 from sira_assets.pipeline import Settings, Timetable
 from sira_assets.plan.figures import read_figures
 from sira_assets.plan.machine import benchmark
-from sira_assets.plan.planner import Plan, plan_budget, plan_of, started
+from sira_assets.plan.planner import Plan, plan_budget, plan_of, with_known_start
 from sira_assets.plan.present import plan_json, plan_table
 from sira_assets.plan.timetable import Keeping, timetable
 from sira_assets.plan.tolerance import plan_tolerance
@@ -28,7 +28,7 @@ def asked_plan(
     InputError : a budget that this machine cannot keep.
     """
     here = benchmark(prior, device=device)
-    figures = started(read_figures(args.figures), here, time.monotonic() - began)
+    figures = with_known_start(read_figures(args.figures), here, time.monotonic() - began)
     if args.tolerance_mm is not None:
         return plan_tolerance(args.tolerance_mm, settings, figures, here), None, None
     if not args.budget:

@@ -26,9 +26,8 @@ import sira_assets
 
 # A budget is kept within this share of it.
 WITHIN = 0.2
-# A longer budget is worse where a scene is by more than three times what chance does, or all scenes on average by two:
-# some thirty scenes and steps are looked at, and one of a few.
-BEYOND_ONE, BEYOND_MEAN = 3.0, 2.0
+# How often chance alone may make any longer budget look worse, of all that are looked at together.
+FALSE_ALARM = 0.05
 # What a budget buys, and its sign: 1 where less is better.
 BOUGHT = {"face_mm": 1.0, "final_psnr_db": -1.0}
 
@@ -70,9 +69,9 @@ def promise_runs(
 
     folder = out / "promises"
     folder.mkdir(parents=True, exist_ok=True)
-    for path in scenes:
+    for path in dict.fromkeys(scenes):
         scene = read_measured(path)
-        for seed, promise in ((seed, promise) for seed in range(seeds) for promise in promises):
+        for seed, promise in ((seed, promise) for seed in range(seeds) for promise in dict.fromkeys(promises)):
             file = folder / f"{digest((sira_assets.__version__, scene.portrait, promise, seed))}.json"
             if file.is_file():
                 yield Kept(**json.loads(file.read_text(encoding="utf-8"))), True
@@ -126,6 +125,7 @@ class More:
     change, chance : mean over scenes, and what chance does to it; nan where no scene has two seeds
     worst : the scene that loses most
     worst_change, worst_chance : the same of it
+    limit, worst_limit : so many times the chance is beyond it
     """
 
     measure: str
@@ -136,15 +136,24 @@ class More:
     worst: str
     worst_change: float
     worst_chance: float
+    limit: float
+    worst_limit: float
 
     @property
     def worse(self) -> bool:
         """Whether more time made it worse, beyond chance."""
-        return self.change > BEYOND_MEAN * self.chance or self.worst_change > BEYOND_ONE * self.worst_chance
+        one = self.worst_change > self.worst_limit * self.worst_chance > 0.0
+        return one or self.change > self.limit * self.chance > 0.0
 
 
 def bought(kept: Sequence[Kept]) -> list[More]:
-    """What each longer budget does beside the next shorter one, on the scenes that have both."""
+    """What each longer budget does beside the next shorter one, on the scenes that have both.
+
+    Limits are Student's t at `FALSE_ALARM` over the number of looks (Bonferroni): every measure and pair of budgets, on
+    average and on each scene.
+    """
+    from scipy.stats import t
+
     budgets = sorted({(k.asked, k.promise) for k in kept if k.promise.endswith("s")})
     out = []
     for measure, sign in BOUGHT.items():
@@ -166,7 +175,9 @@ def bought(kept: Sequence[Kept]) -> list[More]:
             worst = int(np.argmax(changes))
             mean_chance = float(np.sqrt(np.square(chances).sum())) / len(pairs)
             whole = float(np.mean(changes)), mean_chance
-            out.append(More(measure, shorter, longer, *whole, scenes[worst], changes[worst], chances[worst]))
+            looks = 2 * len(BOUGHT) * (len(budgets) - 1)
+            limits = [float(t.isf(FALSE_ALARM / n, freedom or 1)) for n in (looks, looks * len(pairs))]
+            out.append(More(measure, shorter, longer, *whole, scenes[worst], changes[worst], chances[worst], *limits))
     return out
 
 
@@ -177,17 +188,17 @@ def bought_section(steps: Sequence[More]) -> Section:
             m.measure,
             f"{m.shorter} to {m.longer}",
             f"{m.change:+.3g}",
-            f"{m.chance:.2g}",
+            f"{m.chance:.2g}, {m.limit:.1f}",
             m.worst,
             f"{m.worst_change:+.3g}",
-            f"{m.worst_chance:.2g}",
+            f"{m.worst_chance:.2g}, {m.worst_limit:.1f}",
             "worse" if m.worse else "",
         )
         for m in steps
     )
     say = (
         "What a longer budget does beside the next shorter one; above 0 it is worse. Chance is a standard deviation, "
-        f"by seeds; worse is what exceeds {BEYOND_MEAN:g} of them on average, or {BEYOND_ONE:g} on one scene."
+        f"by seeds, and how many of them a change may be (one false alarm in {1 / FALSE_ALARM:.0f} pages)."
     )
     head = ("measure", "budget", "mean change", "chance", "worst scene", "its change", "chance", "")
     return Section("more time", say, None, head, rows)

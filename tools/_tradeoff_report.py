@@ -20,7 +20,6 @@ from _tradeoff_figures import (
     said,
     write_page,
 )
-from _tradeoff_promises import Kept, promise_section
 
 
 def write_report(
@@ -30,7 +29,7 @@ def write_report(
     threads: int,
     out: Path,
     *,
-    promises: Sequence[Kept] = (),
+    promises: Sequence[Section] = (),
     curves=None,
 ) -> list[str]:
     """Write index.html and figures.json; gives what is wrong with the presets, one line each.
@@ -57,7 +56,7 @@ def write_report(
     if presets:
         section, lost = preset_section([*presets, replace(base, knob="preset", value=sweep.base)], spread)
         sections.append(section)
-    sections += [promise_section(promises)] if promises else []
+    sections += promises
     sections.append(reference_section(records, spread))
     for k in KNOBS:
         if len(by_knob[k.name]) > 1:

@@ -122,15 +122,18 @@ def body(args: argparse.Namespace) -> int:
             print(f"{one.scene} seed {one.seed}: {one.promise} asked, {came}{'  (found)' if found else ''}", flush=True)
     steps = bought(kept)
     broken = any(m.worse for m in steps) or not all(k.holds for k in kept)
-    for m in steps if not args.quiet else ():
+    for m in steps:
         change = f"{m.change:+.3g} (chance {m.chance:.2g}); at worst {m.worst_change:+.3g} ({m.worst_chance:.2g})"
-        print(f"{m.measure}, {m.shorter} to {m.longer}: {change}, {m.worst}{': worse' if m.worse else ''}")
+        if m.worse or not args.quiet:
+            line = f"{m.measure}, {m.shorter} to {m.longer}: {change}, {m.worst}{': worse' if m.worse else ''}"
+            print(line, file=sys.stderr if m.worse else sys.stdout)
+    sections = [promise_section(kept)] if kept else []
+    sections += [bought_section(steps)] if steps else []
     if args.promises_only:
-        sections = [promise_section(kept), *([bought_section(steps)] if steps else [])]
         write_page("Budgets and tolerances", "", sections, args.out / "promises.html")
         return 4 if broken else 0
     command = " ".join(["python tools/measure_tradeoff.py", *args.words])
-    lost = write_report(records, sweep, command, torch.get_num_threads(), args.out, promises=kept, curves=curves)
+    lost = write_report(records, sweep, command, torch.get_num_threads(), args.out, promises=sections, curves=curves)
     if not args.quiet:
         print(f"{args.out / 'index.html'}  ({len(records)} runs, {time.monotonic() - began:.0f} s)")
     for line in lost:

@@ -142,4 +142,4 @@ def _at_most(rays: PixelRays, generator: torch.Generator) -> PixelRays:
     if len(rays) <= MOST_PIXELS:
         return rays
     index = torch.randperm(len(rays), generator=generator, device=rays.origins.device)
-    return rays.select(index[:MOST_PIXELS])
+    return rays.select(index[:MOST_PIXELS].sort().values)

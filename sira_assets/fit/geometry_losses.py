@@ -109,8 +109,7 @@ class GeometryLosses:
         }
         for name, rays in (("inside", self.inside), ("edge", self.edge)):
             own |= {f"{name}_index": rays.index, f"{name}_t": rays.t, f"{name}_hit": rays.hit}
-            own[f"{name}_lowest"] = rays.lowest
-        own["edge_weight"] = self.edge.weight
+        own |= {"edge_weight": self.edge.weight, "edge_lowest": self.edge.lowest}
         for name, model in (("model", self.model), ("before", self.before)):
             own |= {f"{name}.{key}": value for key, value in model.state_dict().items()}
         return own
@@ -216,7 +215,8 @@ class GeometryLosses:
         return losses
 
     def _silhouette(self, z_sdf: Tensor, generator: torch.Generator) -> Tensor:
-        """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse."""
+        """Cross-entropy of the soft silhouette, over band rays that miss where they should hit or the reverse; in phase
+        C also over those that hit and only graze."""
         c = self.config
         # Rays that hit and should are content, as in IDR; those that miss and should only guard the outside. In phase C
         # a ray that just grazes is drawn in as well, or rays that were won are lost as soon as nothing holds them.

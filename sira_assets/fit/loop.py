@@ -18,6 +18,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from sira_assets.errors import InputError
 from sira_assets.fit.pace import Pace, StageKept, progress
 from sira_assets.train.adam import Adam
 from sira_assets.train.batches import step_generator
@@ -175,7 +176,10 @@ def _resumed(checkpoint: Checkpoint | None, state: Mapping[str, Tensor]) -> tupl
     header = read_header(checkpoint.path) if checkpoint is not None else None
     if header is None or header.get("digest") != checkpoint.key:
         return 0, fresh
-    step, seconds = load_checkpoint(checkpoint.path, {"state": state}, None, checkpoint.key)
+    try:
+        step, seconds = load_checkpoint(checkpoint.path, {"state": state}, None, checkpoint.key)
+    except InputError:  # of another version: as good as none
+        return 0, fresh
     return step, json.loads(header["facts"]) | {"seconds": seconds}
 
 

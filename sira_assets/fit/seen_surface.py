@@ -73,16 +73,25 @@ def visible_surface(
     ts = torch.as_tensor(hits.t[hits.hit] / UNIT_M, dtype=rays.origins.dtype, device=rays.origins.device)
     parts: list[list[Tensor]] = [[], [], [], []]
     for origins, directions, t in zip(*(c.split(chunk) for c in (rays.origins, rays.directions, ts)), strict=True):
-        for step in range(NEWTON_STEPS + 1):
-            x = origins + t[:, None] * directions
-            f, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
-            if step < NEWTON_STEPS:
-                slope = (gradient * directions).sum(-1).clamp_max(-GRAZING)
-                t = t - (f / slope).detach().clamp(-FARTHEST_STEP, FARTHEST_STEP)
+        best = _at(geometry, origins + t[:, None] * directions)
+        for _ in range(NEWTON_STEPS):
+            f, x, gradient = best[:3]
+            slope = (gradient * directions).sum(-1, keepdim=True).clamp_max(-GRAZING)
+            trial = _at(geometry, x - (f / slope).clamp(-FARTHEST_STEP, FARTHEST_STEP) * directions)
+            # Where a triangle is not of the zero set (a cap, a hole that was closed) there is none to be found.
+            nearer = trial[0].abs() < f.abs()
+            best = [torch.where(nearer, new, old) for new, old in zip(trial, best, strict=True)]
+        _, x, gradient, x_ref, gamma = best
         for column, value in zip(parts, (x, nn.functional.normalize(gradient, dim=-1), x_ref, gamma), strict=True):
-            column.append(value.detach())
+            column.append(value)
     x, normals, x_ref, gamma = (torch.cat(column) for column in parts)
     return SurfacePoints(x, normals, -rays.directions, x_ref, gamma, rays)
+
+
+def _at(geometry: GeometryFit, x: Tensor) -> list[Tensor]:
+    """f (N, 1), x, gradient, x_ref and gamma at x."""
+    f, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
+    return [v.detach() for v in (f[:, None], x, gradient, x_ref, gamma)]
 
 
 @torch.no_grad()

@@ -11,7 +11,7 @@ _LEARNING = "open3d.ml"
 
 
 def open3d_core() -> ModuleType:
-    """The module `open3d`; its `open3d.ml` is imported only by who asks for it."""
+    """The module `open3d`; who wants `open3d.ml` of it has to import that by name."""
     fresh = "open3d" not in sys.modules
     if fresh:
         # A module that is there already is not looked for; taken away again, it will be when somebody imports it.

@@ -15,8 +15,9 @@ from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
 # Gentlest setting first. fast-simplification's own default, 7, has ten times the error of 3 on a 400k-face head.
 AGGRESSIVENESS = (3.0, 1.0)
-# More triangles than asked for by this share are no answer while there is another.
-FAR_TOO_MANY = 0.1
+# More triangles than asked for by this share are no answer while there is another, nor is one with more than this share
+# of its faces turned over.
+FAR_TOO_MANY, MANY_ASIDE = 0.1, 0.01
 # A tolerance is met with at most this many times the fewest triangles that meet it.
 COUNT_STEP = 1.15
 
@@ -32,7 +33,8 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int, *, importance: np.ndar
 
     Returns
     -------
-    TriangleMesh : at most `max_triangles` faces unless topology forbids it (handles and borders cost triangles);
+    TriangleMesh : at most `max_triangles` faces unless topology forbids it (handles and borders cost triangles), or a
+        tenth more where that keeps every face looking the right way;
         normals are interpolated from `mesh` at the nearest point, so that a field's own normals survive.
 
     Raises
@@ -59,9 +61,11 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int, *, importance: np.ndar
             + abs(result.boundary_edges - source.boundary_edges) * (source.boundary_edges == 0)
         )
         too_many = max(0, len(candidate.faces) - max_triangles)
+        aside = int(flipped_faces(candidate, mesh, raycaster).sum())
         # A gentle collapse may stop at many times the triangles: a face or two that look aside are the lesser evil.
+        many_aside = aside > MANY_ASIDE * len(candidate.faces)
         far_too_many = too_many > FAR_TOO_MANY * max_triangles
-        score = (faults, far_too_many, int(flipped_faces(candidate, mesh, raycaster).sum()), too_many)
+        score = (faults, many_aside, far_too_many, aside, too_many)
         if best_score is None or score < best_score:
             best, best_score = candidate, score
         if not any(score):

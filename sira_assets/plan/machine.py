@@ -35,7 +35,7 @@ def benchmark(
     Parameters
     ----------
     prior : whose shape network is timed, forward and backward through its gradient as a fit does
-    repeats : of each piece
+    repeats : of each piece; of plain arrays three times as many
     clock : seconds; `time.process_time` leaves out what other programs take
     """
     import torch

@@ -18,6 +18,7 @@ from sira_assets.plan.knobs import KNOBS, Knob, Value, place
 from sira_assets.plan.machine import speed
 
 # Share of the time that is planned: the rest is for predictions that fall short. The fits take up what is not needed.
+# The cheapest plan is begun without that reserve as well: its fits can give way.
 PLANNED_SHARE = 0.92
 # Between two measured values of a knob in steps, so many are offered.
 BETWEEN = 3
@@ -70,7 +71,7 @@ class Plan:
         return sum(s for _, s in self.stages[names.index(stage) + 1 :]) if stage in names else 0.0
 
 
-def started(figures: Figures, here: Benchmark, seconds: float) -> Figures:
+def with_known_start(figures: Figures, here: Benchmark, seconds: float) -> Figures:
     """The figures of a run that took so long to set out: what is known need not be predicted."""
     own = seconds / speed("start", here, figures.benchmark)
     reference = tuple(replace(s, seconds=own) if s.name == "start" else s for s in figures.reference)
@@ -139,7 +140,7 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     now = total(chosen)
     if now > seconds:
         raise InputError(
-            expected=f"a budget that this machine can keep: {np.ceil(now):.0f} s or more",
+            expected=f"a budget that this machine can keep: {np.ceil(now / PLANNED_SHARE):.0f} s or more",
             received=f"{seconds:g} s",
             remedy="allow more time, or use a smaller photo",
         )

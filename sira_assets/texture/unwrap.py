@@ -110,8 +110,8 @@ def _charts(
     after = predicted_seconds("boxes", [len(faces)]) + predicted_seconds("after", [len(faces)])
     after *= slowness
     predicted = predicted_seconds("after", [len(faces)])
-    few = ("xatlas", "uvatlas") if len(faces) <= _FEW_FACES else ("uvatlas", "xatlas")
-    for method in few if config.methods is None else config.methods:
+    order = ("xatlas", "uvatlas") if len(faces) <= _FEW_FACES else ("uvatlas", "xatlas")
+    for method in order if config.methods is None else config.methods:
         if method == "boxes":
             break
         fit, refused = _fit_for(method, faces, vertex, sound, members, left)

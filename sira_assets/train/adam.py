@@ -15,7 +15,10 @@ def _unwrapped(method: Callable) -> Callable:
 
 
 class Adam(torch.optim.Adam):
-    """`torch.optim.Adam` (Kingma and Ba 2015, arXiv 1412.6980), with its wrapped methods as they were written."""
+    """`torch.optim.Adam` (Kingma and Ba 2015, arXiv 1412.6980), with its wrapped methods as they were written.
+
+    Not for `differentiable=True`: its steps are never part of a graph.
+    """
 
     add_param_group = _unwrapped(torch.optim.Adam.add_param_group)
     zero_grad = _unwrapped(torch.optim.Adam.zero_grad)

@@ -63,7 +63,7 @@ def load_checkpoint(
 
     Raises
     ------
-    InputError : damaged, or of a run with other settings or scenes.
+    InputError : damaged, of a run with other settings or scenes, or without some of the tensors.
     """
     header = read_header(path)
     if header is None:
@@ -77,6 +77,13 @@ def load_checkpoint(
             remedy="give the settings it was begun with, another --run, or go without --resume",
         )
     flat = load_file(path)
+    wanted = {f"{name}/{key}": value.shape for name, state in tensors.items() for key, value in state.items()}
+    if any(key not in flat or flat[key].shape != shape for key, shape in wanted.items()):
+        raise InputError(
+            expected=f"a checkpoint with this run's tensors at {path}",
+            received="one of another version",
+            remedy="begin anew: remove it, or go without --resume",
+        )
     with torch.no_grad():
         for name, state in tensors.items():
             for key, value in state.items():

@@ -116,3 +116,17 @@ def test_a_killed_geometry_fit_goes_on_to_the_identical_result(at, tmp_path, mon
     for a, b in zip(whole.shape.parameters(), resumed.shape.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
     assert whole.history == resumed.history
+
+
+def test_a_checkpoint_without_a_tensor_that_is_wanted_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setattr("sira_assets.fit.loop.SAVE_EVERY_SECONDS", -1.0)
+    checkpoint = Checkpoint(tmp_path / "fit.safetensors", "key")
+    stages, state = problem()
+    run_stages(stages, {k: v for k, v in state.items() if k != "seen"}, seed=3, checkpoint=checkpoint)
+    stages, state = problem()
+    before = {name: value.clone() for name, value in state.items()}
+    run_stages(stages, state, seed=3, checkpoint=checkpoint)
+    stages, fresh = problem()
+    run_stages(stages, fresh, seed=3)
+    for name in before:
+        torch.testing.assert_close(state[name], fresh[name], rtol=0, atol=0)

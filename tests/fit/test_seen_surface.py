@@ -16,6 +16,7 @@ from sira_assets.fit.pixels import mask_rays
 from sira_assets.fit.seen_surface import _unseen, hidden_surface, visible_surface
 from sira_assets.mesh.extract import ExtractConfig, extract_mesh
 from sira_assets.mesh.raycast import Raycaster
+from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.render.tracing import TraceConfig, sphere_trace
 from sira_assets.scene.canonical import transform_points
 
@@ -101,6 +102,20 @@ def test_a_random_part_of_the_pixels_keeps_the_pictures_order(fitted):
     assert 50 < len(some) < 200  # the ball leaves some of the mask bare
     place = 1000 * some.rays.row + some.rays.column
     assert bool((place[1:] > place[:-1]).all())
+
+
+def test_a_triangle_that_is_not_of_the_surface_keeps_its_points(fitted):
+    p, fit, _ = fitted
+    # A wall through the ball, as a cap is: a step is taken only where it leads nearer to the zero set.
+    centre = transform_points(p.canonical_from_world, p.camera.world_from_camera[None, :3, 3])[0]
+    wall = TriangleMesh(np.array([[-2.0, -2, -0.01], [2, -2, -0.01], [0, 3, -0.01]]), np.array([[0, 1, 2]]))
+    seen = visible_surface(p, fit, Raycaster(wall))
+    assert len(seen) == int(p.mask.sum())
+    cast = Raycaster(wall).cast(np.broadcast_to(centre, (len(seen), 3)), -seen.view.double().numpy())
+    t = torch.as_tensor(cast.t / UNIT_M)
+    before = torch.as_tensor(centre / UNIT_M) - t[:, None] * seen.view
+    sdf = lambda x: fit.shape(x.float(), fit.z_sdf)[0].detach()  # noqa: E731
+    assert bool((sdf(seen.x).abs() <= sdf(before).abs() + 1e-5).all())
 
 
 def test_nobody_in_the_picture_is_seen_nowhere(fitted):

@@ -225,3 +225,19 @@ def test_a_soup_is_unwrapped_as_the_surface_it_is():
     mesh = grid(6)
     soup = TriangleMesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))
     assert unwrap(soup, UnwrapConfig(methods=())).report.charts == 1
+
+
+@pytest.mark.parametrize(("n", "order"), [(70, ["xatlas", "uvatlas"]), (72, ["uvatlas", "xatlas"])])
+def test_small_surfaces_go_to_xatlas_first_and_others_to_uvatlas(n, order, monkeypatch):
+    asked = []
+
+    def refuse(method, parts, seconds, workers):
+        asked.append(method)
+        return ["not today"] * len(parts)
+
+    monkeypatch.setattr("sira_assets.texture.unwrap.unwrap_parts", refuse)
+    surface = grid(n)  # 9,800 and 10,368 faces
+    assert unwrap(surface).report.method == "boxes"
+    assert asked == order
+    assert unwrap(surface, UnwrapConfig(methods=("xatlas",))).report.method == "boxes"
+    assert asked == [*order, "xatlas"]

@@ -207,12 +207,24 @@ def test_more_time_is_worse_where_chance_does_not_explain_it():
     assert not face.worse
     assert not final.worse
     assert final.change == 0.0
-    # One scene far worse, and all of them a little.
-    assert bought([*runs[:4], *(replace(k, measures={"face_mm": 1.6}) for k in runs[4:6]), *runs[6:]])[0].worse
-    little = [replace(k, measures={"face_mm": k.measures["face_mm"] + (0.25 if k.asked > 60 else 0.0)}) for k in runs]
-    assert bought(little)[0].worst_change < 3.0 * bought(little)[0].worst_chance + 0.1
-    assert bought(little)[0].worse
-    assert bought_section(bought(little)).rows[0][-1] == "worse"
+    # Student's t of 4 degrees of freedom: two measures, on average and on either scene, share 5 %.
+    assert face.limit == pytest.approx(3.495, abs=0.01)
+    assert face.worst_limit == pytest.approx(4.315, abs=0.01)
+
+    def moved(a, b):
+        more = {("a", 180.0): a, ("b", 180.0): b}
+        return [
+            replace(k, measures={"face_mm": k.measures["face_mm"] + more.get((k.scene, k.asked), 0.0)}) for k in runs
+        ]
+
+    (one,) = bought(moved(0.7, -0.7))  # one scene far worse, another as much better
+    assert one.change == pytest.approx(0.05)
+    assert one.worse
+    (all_of_them,) = bought(moved(0.35, 0.35))  # each a little: no scene by itself says it
+    assert all_of_them.worst_change < all_of_them.worst_limit * all_of_them.worst_chance
+    assert all_of_them.worse
+    assert bought_section([all_of_them]).rows[0][-1] == "worse"
+    assert not bought(moved(0.2, 0.2))[0].worse
 
 
 def test_a_render_that_meets_the_photo_better_is_no_loss():
@@ -225,6 +237,7 @@ def test_a_render_that_meets_the_photo_better_is_no_loss():
 def test_of_one_seed_or_of_refusals_nothing_is_said():
     runs = [kept("a", 60, 1.0), kept("a", 180, 3.0)]
     assert not any(m.worse for m in bought(runs))
+    assert not any(m.worse for m in bought([*runs, *(replace(k, seed=1) for k in runs)]))  # seeds that agree to the bit
     assert bought([kept("a", 20, 1.0, took=0.0), *runs])[0].shorter == "60s"
     assert bought([replace(runs[0], kept=None), runs[1]]) == []
 
