@@ -201,7 +201,7 @@ def write_page(title: str, said: str, sections: Sequence[Section], path: Path) -
         "body{font:15px/1.45 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}"
         "table{border-collapse:collapse;margin:.6em 0;font-variant-numeric:tabular-nums}td,th{padding:.2em .7em;"
         "text-align:right;border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}"
-        "img{max-width:100%}h2{margin-top:2em}"
+        "img{max-width:100%}h2{margin-top:2em}section{overflow-x:auto}"
     )
     write_text(
         path,
@@ -222,7 +222,10 @@ def pareto_plot(settings: Sequence[Setting], spread: dict[str, float], names: Se
     columns = min(3, max(1, len(measures)))
     rows = -(-len(measures) // columns)
     figure = Figure(figsize=(3.6 * columns, 2.7 * rows), layout="constrained")
-    for axis, measure in zip(np.atleast_1d(figure.subplots(rows, columns)).flat, measures, strict=False):
+    axes = list(np.atleast_1d(figure.subplots(rows, columns)).flat)
+    for axis in axes[len(measures) :]:
+        axis.remove()
+    for axis, measure in zip(axes, measures, strict=False):
         x, y = [s.ratio for s in settings], [s.deltas[measure.name] for s in settings]
         error = [s.spread[measure.name] if np.isfinite(s.spread[measure.name]) else 0.0 for s in settings]
         seeds = spread.get(measure.name, 0.0)

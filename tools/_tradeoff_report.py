@@ -170,6 +170,8 @@ def knob_section(knob, rows: Sequence[Setting], spread: dict[str, float], defaul
     from sira_assets.plan.front import knee
 
     curve = curve_of(rows, knob)
+    order = [p.value for p in curve.points]
+    rows = sorted(rows, key=lambda s: order.index(s.value))
     bend = knee([s.ratio for s in rows], [p.loss for p in curve.points])
     where = "none: nothing is gained beyond the noise, or nothing is paid" if bend is None else said(rows[bend].value)
     head, table = settings_table(rows)

@@ -292,6 +292,23 @@ def test_a_quick_sweep_makes_everything_and_goes_on(tmp_path, capsys):
         measure_tradeoff.main([*command, "--curves", str(curves), "--knob", "triangles"])
 
 
+def test_the_knee_is_of_the_curve_in_whatever_order_its_values_were_measured():
+    from _tradeoff_report import knob_section
+
+    from sira_assets.plan.knobs import knob
+
+    steps = knob("geometry steps")
+    made = {0.06: (0.6, 1.0), 0.25: (0.7, 0.1), 0.5: (0.8, 0.08), 1.0: (1.0, 0.0), 2.0: (2.0, -0.01)}
+    for order in (sorted(made), [2.0, 0.06, 1.0, 0.25, 0.5]):
+        rows = [Setting("geometry steps", v, made[v][0], 1.0, {}, {"face_mm": made[v][1]}, {}, 1, 2) for v in order]
+        for row in rows:
+            row.spread["face_mm"] = 0.01
+        section = knob_section(steps, rows, {}, 1.0)
+        assert section.say.startswith("Knee: 0.25.")
+        assert [row[0] for row in section.rows] == ["0.06", "0.25", "0.5", "1", "2"]
+        assert len(section.figure.axes) == 1
+
+
 def test_settings_measured_to_different_ends_share_a_table():
     from _tradeoff_report import plot, settings_table
 
