@@ -119,8 +119,9 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
     convex choices; Sinha and Zoltners 1979, DOI 10.1287/opre.27.3.503), as long as a knob is not as good as at its
     best. Nothing is saved below the draft for the sake of another knob: the curves are of procedural heads, and
     photographs are further from the models. Then, cheapest first, the preset's own value of any knob that stands below
-    it, where time is left: the curves are of a few scenes, and what those had no use for this one may need. The texture
-    size is the most that the time allows: where the photo shows less, a run makes its maps smaller.
+    it and was not measured to be worse, where time is left: the curves are of a few scenes, and what those had no use
+    for this one may need. The texture size is the most that the time allows: where the photo shows less, a run makes
+    its maps smaller.
     """
     offers = {k: _offers(k, curve, figures, here) for k in KNOBS if (curve := figures.curve(k.name)) is not None}
     level = dict.fromkeys(offers, 0)
@@ -162,7 +163,8 @@ def plan_budget(seconds: float, settings: Settings, figures: Figures, here: Benc
         chosen[best] = offers[best][level[best]]
         now = total(chosen)
     for k in sorted(offers, key=lambda k: total(chosen | {k: preset[k]})):
-        losses = figures.curve(k.name).losses()
+        # As measured, not as made monotone: what was seen to lose something is not bought back for its price.
+        losses = [p.loss for p in figures.curve(k.name).points]
         no_worse = _between(losses, preset[k]) <= _between(losses, chosen[k])
         if no_worse and now < (cost := total(chosen | {k: preset[k]})) <= limit:
             chosen[k], now = preset[k], cost

@@ -105,10 +105,12 @@ def test_the_last_resort_takes_anything(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tangle", "tiny", "faults"])
-def test_torture_meshes_end_with_the_default_methods(name):
-    atlas = unwrap(TORTURE[name], UnwrapConfig(budget_s=20.0))
+@pytest.mark.parametrize("methods", [None, ("uvatlas", "xatlas")])
+def test_torture_meshes_end_with_both_methods(name, methods):
+    atlas = unwrap(TORTURE[name], UnwrapConfig(methods=methods, budget_s=20.0))
     check(TORTURE[name], atlas, copies=6 * (name == "faults"))
-    assert "more than 30 pieces" in atlas.report.attempts[0]
+    if methods:
+        assert "more than 30 pieces" in atlas.report.attempts[0]
 
 
 def test_faces_set_aside_get_their_place(ellipsoid):
