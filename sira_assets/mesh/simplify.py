@@ -6,11 +6,11 @@ Quadric error metrics: Garland and Heckbert 1997, DOI 10.1145/258734.258849.
 import numpy as np
 
 from sira_assets.errors import InputError
-from sira_assets.mesh.clean import clean_mesh
+from sira_assets.mesh.clean import CleanConfig, clean_mesh
 from sira_assets.mesh.field_distance import SurfaceGap, mesh_distance
 from sira_assets.mesh.open3d_core import open3d_core
 from sira_assets.mesh.raycast import Raycaster
-from sira_assets.mesh.topology import topology
+from sira_assets.mesh.topology import Topology, topology
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 
 # Gentlest setting first. fast-simplification's own default, 7, has ten times the error of 3 on a 400k-face head.
@@ -47,18 +47,20 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int, *, importance: np.ndar
         return mesh
     raycaster = Raycaster(mesh)
     source = topology(mesh)
+    # The rim of an open bust is no hole: closing it would undo what was asked for.
+    cleaning = CleanConfig(close_holes_of=0) if source.boundary_edges else CleanConfig()
     best, best_score = None, None
     weighted = () if importance is None else (_meshlab(importance),)
     for method in (*weighted, _fast(AGGRESSIVENESS[0]), _fast(AGGRESSIVENESS[1]), _open3d):
         vertices, faces = method(mesh, max_triangles)
-        candidate = clean_mesh(TriangleMesh(vertices, faces))
+        candidate = clean_mesh(TriangleMesh(vertices, faces), cleaning)
         result = topology(candidate)
         faults = (
             result.nonmanifold_edges
             + result.nonmanifold_vertices
             + result.misoriented_edges
             + result.zero_area_faces
-            + abs(result.boundary_edges - source.boundary_edges) * (source.boundary_edges == 0)
+            + _boundary_faults(result, source)
         )
         too_many = max(0, len(candidate.faces) - max_triangles)
         aside = int(flipped_faces(candidate, mesh, raycaster).sum())
@@ -71,6 +73,13 @@ def simplify_mesh(mesh: TriangleMesh, max_triangles: int, *, importance: np.ndar
         if not any(score):
             break
     return TriangleMesh(best.vertices, best.faces, transfer_normals(best.vertices, mesh, raycaster))
+
+
+def _boundary_faults(result: Topology, source: Topology) -> int:
+    """Edges of holes beyond the source's own; all of the source's where nothing of its boundary is left."""
+    if source.boundary_edges and not result.boundary_edges:
+        return source.boundary_edges
+    return max(0, result.boundary_edges - source.boundary_edges)
 
 
 def simplify_to_tolerance(

@@ -142,6 +142,20 @@ def test_simplified_mesh_keeps_shape_topology_and_normals(ellipsoid, target):
     assert (simple.normals * gradient).sum(1).min() > 0.98
 
 
+@pytest.mark.parametrize("weighed", [False, True])
+def test_an_open_mesh_stays_open(ellipsoid, weighed):
+    upper = ellipsoid.vertices[ellipsoid.faces].mean(1)[:, 1] > -0.06
+    opened = clean_mesh(TriangleMesh(ellipsoid.vertices, ellipsoid.faces[upper]), CleanConfig(close_holes_of=0))
+    simple = simplify_mesh(opened, 600, importance=np.ones(len(opened.vertices)) if weighed else None)
+    assert len(simple.faces) <= 660
+    shape = topology(simple)
+    # A disc: one rim, of no more edges than before.
+    assert (shape.pieces, shape.euler) == (1, 1)
+    assert 0 < shape.boundary_edges <= topology(opened).boundary_edges
+    down = Raycaster(simple).occluded(np.array([[0.0, 0.0, -0.07]]), np.array([0.0, -1.0, 0.0]))
+    assert not down.any()
+
+
 def test_many_times_the_triangles_are_worse_than_a_face_that_looks_aside(ellipsoid, monkeypatch):
     simple = simplify_mesh(ellipsoid, 1000)
     # A corner pushed through the far wall of the ellipsoid: its faces look back, the mesh stays one closed surface.
