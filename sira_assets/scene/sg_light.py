@@ -80,9 +80,11 @@ class SGLight:
                 np.array([row["sharpness"] for row in rows], np.float64),
                 np.array(amplitude).reshape(-1, 3),
             )
-        except (KeyError, TypeError) as error:
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 expected='{"sgs": [{"axis", "sharpness", "amplitude"}]}',
-                received=f"{type(data).__name__} without {error}",
+                received=f"{type(error).__name__}: {error}",
                 remedy="write the lights in that form",
             ) from None

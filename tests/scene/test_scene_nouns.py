@@ -138,6 +138,24 @@ def test_light_file_of_another_form():
             SGLight.from_dict(data)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"axis": [0, 1]},
+        {"axis": [[0, 0, 1], [0, 1]]},
+        {"axis": "up"},
+        {"amplitude": [1, 1]},
+        {"sharpness": "soft"},
+        {"sharpness": [1, 2]},
+        {"sharpness": 10**400},
+    ],
+)
+def test_a_misshapen_lobe_is_said(wrong):
+    with pytest.raises(InputError, match=r"lobes|sgs") as said:
+        SGLight.from_dict({"sgs": [{"axis": [0, 0, 1], "sharpness": 2.0, "amplitude": [1, 1, 1], **wrong}]})
+    assert "\n" not in str(said.value)
+
+
 def test_portrait_gives_the_inverse_similarity():
     camera = make_camera()
     matrix = np.diag([0.9, 0.9, 0.9, 1.0])
