@@ -14,7 +14,7 @@ from sira_assets import __version__
 from sira_assets.asset.exr_header import colour_header
 from sira_assets.asset.textures import irradiance_white
 from sira_assets.asset.write_avatar import write_avatar
-from sira_assets.atomic import replacing_folder
+from sira_assets.atomic import check_parent, replacing_folder
 from sira_assets.errors import InputError
 from sira_assets.fields.fitted import save_fitted
 from sira_assets.measure.exported import ExportedView, measure_exported
@@ -54,11 +54,17 @@ def check_target(folder: Path, *, overwrite: bool, marker: str = "report.json", 
 
     Raises
     ------
-    InputError : the folder holds something and `overwrite` was not said, or it holds something else than an avatar; or
-        nothing can be written beside it.
+    InputError : the folder holds something and `overwrite` was not said, or it holds something else than an avatar; it
+        is a mount point, which cannot be replaced; or nothing can be written beside it.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(expected=f"a folder at {folder}", received="a file", remedy="choose another --out")
+    if os.path.ismount(folder.resolve()):
+        raise InputError(
+            expected=f"a folder that can be replaced whole at {folder}",
+            received="a mount point",
+            remedy="give a folder inside it",
+        )
     held = folder.exists() and any(folder.iterdir())
     if held and not overwrite:
         raise InputError(
@@ -72,11 +78,7 @@ def check_target(folder: Path, *, overwrite: bool, marker: str = "report.json", 
             received="a folder of other files",
             remedy="choose another --out",
         )
-    parent = next(p for p in folder.resolve().parents if p.exists())
-    if not os.access(parent, os.W_OK):
-        raise InputError(
-            expected=f"a folder to write in at {parent}", received="a read-only one", remedy="choose another --out"
-        )
+    check_parent(folder.resolve())
 
 
 def deliver(journey: Journey, settings: Settings, folder: Path, *, decisions: tuple[Decision, ...] = ()) -> Report:

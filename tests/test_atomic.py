@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from sira_assets import atomic
-from sira_assets.atomic import replacing, replacing_folder, write_bytes
+from sira_assets.atomic import check_file, replacing, replacing_folder, write_bytes
+from sira_assets.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -55,6 +56,51 @@ def test_a_folder_takes_the_name_whole(tmp_path, monkeypatch, exchange):
         raise ZeroDivisionError
     assert names(tmp_path / "out") == ["second"]
     assert names(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("failing", ["out", "was"])
+def test_a_folder_that_cannot_be_moved_stays_and_leaves_no_trace(tmp_path, monkeypatch, failing):
+    with replacing_folder(tmp_path / "out") as fresh:
+        (fresh / "old").touch()
+    monkeypatch.setattr(atomic, "_exchanged", lambda one, other: False)
+    replace, failed = os.replace, []
+
+    def busy(source, target):
+        if Path(target).name == failing and not failed:
+            failed.append(target)
+            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+        replace(source, target)
+
+    monkeypatch.setattr(atomic.os, "replace", busy)
+    with pytest.raises(OSError, match=os.strerror(errno.EBUSY)), replacing_folder(tmp_path / "out") as fresh:
+        (fresh / "new").touch()
+    assert failed
+    assert names(tmp_path / "out") == ["old"]
+    assert names(tmp_path) == ["out"]
+
+
+@pytest.mark.skipif(not hasattr(os, "symlink"), reason="needs links")
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_to_a_folder_is_followed(tmp_path, there):
+    (tmp_path / "link").symlink_to("real", target_is_directory=True)
+    if there:
+        (tmp_path / "real").mkdir()
+    with replacing_folder(tmp_path / "link") as fresh:
+        (fresh / "new").touch()
+    assert (tmp_path / "link").is_symlink()
+    assert names(tmp_path / "real") == ["new"]
+    assert names(tmp_path) == ["link", "real"]
+
+
+def test_files_that_cannot_be_written_are_refused_beforehand(tmp_path):
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    check_file(tmp_path / "new" / "deeper" / "a.bin", overwrite=False)
+    check_file(taken, overwrite=True)
+    for path, said in ((taken, "--overwrite"), (taken / "a.bin", "a file"), (tmp_path, "a folder")):
+        with pytest.raises(InputError, match=f"received.*{said}"):
+            check_file(path, overwrite=path != taken)
+    assert names(tmp_path) == ["taken"]
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="renameat2 is Linux's")

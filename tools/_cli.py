@@ -10,6 +10,17 @@ import errno
 import sys
 from collections.abc import Callable
 
+# What a path of the user's may be instead of what it was taken for.
+PATH_ERRORS = (
+    errno.EACCES,
+    errno.EPERM,
+    errno.ENOTDIR,
+    errno.EEXIST,
+    errno.EISDIR,
+    errno.EBUSY,
+    errno.ENAMETOOLONG,
+)
+
 
 def device(name: str) -> str:
     """ "cpu" or "cuda" for auto, cpu or cuda.
@@ -52,7 +63,7 @@ def run(body: Callable[[], int | None]) -> int:
         print(f"error: no such file: {error.filename or error}", file=sys.stderr)
         return 3
     except OSError as error:
-        if error.errno not in (*DISK_ERRORS, errno.EACCES, errno.EPERM):
+        if error.errno not in (*DISK_ERRORS, *PATH_ERRORS):
             raise
         print(f"error: cannot write or read {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return 3

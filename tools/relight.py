@@ -159,15 +159,14 @@ def body(args: argparse.Namespace) -> int:
 
 def check_out(args: argparse.Namespace) -> None:
     """Refuse to write over anything that was not said to go, before any work is done."""
-    from sira_assets.errors import InputError
+    if args.out.suffix.lower() in (*STILLS, *MOVIES):
+        from sira_assets.atomic import check_file
 
-    if args.out.suffix.lower() not in (*STILLS, *MOVIES):
+        check_file(args.out, overwrite=args.overwrite)
+    else:
         from sira_assets.delivery import check_target
 
         check_target(args.out, overwrite=args.overwrite, marker=MARKER, holds="relit pictures")
-    elif args.out.is_dir() or (args.out.exists() and not args.overwrite):
-        what, remedy = ("a folder", "choose another --out") if args.out.is_dir() else ("one", "or say --overwrite")
-        raise InputError(expected=f"no file yet at {args.out}", received=what, remedy=f"choose another name, {remedy}")
 
 
 def write_out(out: Path, first, pictures: list, text: str, fps: float) -> None:

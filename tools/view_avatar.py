@@ -34,15 +34,14 @@ def body(args: argparse.Namespace) -> int:
     import numpy as np
 
     from sira_assets import __version__
-    from sira_assets.errors import InputError
+    from sira_assets.atomic import check_file
     from sira_assets.measure.report import Picture, Report
     from sira_assets.measure.report_page import write_report_html
     from sira_assets.numerics.colour import srgb_from_linear
     from sira_assets.scene.image import read_image
     from sira_assets.viewer.scene import viewer_scene
 
-    if args.out.exists() and not args.overwrite:
-        raise InputError(expected="a new file", received=f"{args.out}, which exists", remedy="say --overwrite")
+    check_file(args.out, overwrite=args.overwrite)
     folder = args.avatar if args.avatar.is_dir() else args.avatar.parent
     scene = viewer_scene(args.avatar / "avatar.glb" if args.avatar.is_dir() else args.avatar, shadows=args.shadows)
     photo = None

@@ -1,6 +1,7 @@
 """The two fits on a prior that is a ball, the fits kept on disk, and the whole journey in small."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -165,6 +166,18 @@ def test_a_stranger_s_folder_is_not_overwritten(tmp_path):
     for overwrite in (False, True):
         with pytest.raises(InputError):
             delivery.check_target(tmp_path, overwrite=overwrite)
+
+
+def test_what_cannot_become_a_folder_is_refused_beforehand(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for folder, said in (
+        (tmp_path / "file", "received a file"),
+        (tmp_path / "file" / "avatar", "received a file"),
+        (Path(tmp_path.anchor), "mount point; give a folder inside it"),
+    ):
+        with pytest.raises(InputError, match=said):
+            delivery.check_target(folder, overwrite=True)
+    delivery.check_target(tmp_path / "new" / "avatar", overwrite=False)
 
 
 def test_shadows_off_is_another_fit_and_says_nothing_of_shadows(journey):

@@ -113,6 +113,7 @@ def bad(tmp_path: Path) -> dict[str, list]:
     behind["transform_matrix"][2][3] = -50.0
     (tmp_path / "behind.json").write_text(json.dumps({"frames": [behind]}))
     (tmp_path / "taken.png").write_text("a picture")
+    (tmp_path / "folder.png").mkdir()
     return {
         "no avatar": [tmp_path / "none", "--out", tmp_path / "x.png"],
         "no avatar in it": [tmp_path / "empty", "--out", tmp_path / "x.png"],
@@ -124,6 +125,9 @@ def bad(tmp_path: Path) -> dict[str, list]:
         "not a camera": ["AVATAR", "--camera", tmp_path / "thing.json", "--out", tmp_path / "x.png"],
         "roughness": ["AVATAR", "--roughness", 3, "--out", tmp_path / "x.png"],
         "a file that is there": ["AVATAR", "--out", tmp_path / "taken.png"],
+        "a folder of that name": ["AVATAR", "--out", tmp_path / "folder.png", "--overwrite"],
+        "a picture inside a file": ["AVATAR", "--out", tmp_path / "taken.png" / "x.png"],
+        "a folder inside a file": ["AVATAR", "--out", tmp_path / "taken.png" / "x"],
         "somebody's folder": ["AVATAR", "--out", tmp_path / "held"],
         "somebody's folder, over": ["AVATAR", "--out", tmp_path / "held", "--overwrite"],
     }
@@ -147,6 +151,14 @@ def test_overwrite_replaces_its_own(avatar, tmp_path):
         assert run(avatar, "--out", tmp_path / "a", "--overwrite") == 0
     assert run(avatar, "--out", tmp_path / "a") == 3
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "a.png"]
+
+
+def test_out_may_be_the_folder_one_stands_in(avatar, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert run(avatar, "--out", ".") == 0
+    assert sorted(p.name for p in (tmp_path / "here").iterdir()) == ["relight.json", "relit.exr", "relit.png"]
+    assert [p.name for p in tmp_path.iterdir()] == ["here"]
 
 
 def test_mp4_without_ffmpeg_is_said_before_any_work(avatar, tmp_path, monkeypatch, capsys):

@@ -47,7 +47,13 @@ def test_the_photo_comes_from_the_folder(folder, tmp_path):
 def test_mistakes_are_one_line_and_3(folder, tmp_path, capsys):
     taken = tmp_path / "taken.html"
     taken.write_text("mine")
-    for arguments in ([folder, "--out", taken], [tmp_path / "none", "--out", tmp_path / "a.html"]):
+    mistakes = (
+        [folder, "--out", taken],
+        [folder, "--out", taken / "a.html"],
+        [folder, "--out", tmp_path, "--overwrite"],
+        [tmp_path / "none", "--out", tmp_path / "a.html"],
+    )
+    for arguments in mistakes:
         assert view_avatar.main([*map(str, arguments)]) == 3
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
     assert taken.read_text() == "mine"
