@@ -173,7 +173,7 @@ def write_out(out: Path, first, pictures: list, text: str, fps: float) -> None:
     """One file, or a folder of all: whole or not at all."""
     from sira_assets.atomic import replacing_folder, write_text
     from sira_assets.relight.frame import linear_rgba
-    from sira_assets.relight.movie import ffmpeg, write_movie
+    from sira_assets.relight.movie import write_movie
     from sira_assets.scene.image import write_exr, write_png
 
     suffix = out.suffix.lower()
@@ -192,9 +192,21 @@ def write_out(out: Path, first, pictures: list, text: str, fps: float) -> None:
                 for i, picture in enumerate(pictures):
                     write_png(fresh / "frames" / f"{i:03d}.png", picture)
                 write_movie(fresh / "turntable.webp", pictures, fps=fps)
-                if ffmpeg() is not None:
-                    write_movie(fresh / "turntable.mp4", pictures, fps=fps)
+                write_mp4_beside(fresh / "turntable.mp4", pictures, fps)
             write_text(fresh / MARKER, text + "\n")
+
+
+def write_mp4_beside(path: Path, pictures: list, fps: float) -> None:
+    """A folder's MP4, which is an extra: without an ffmpeg that can make it, frames and WebP are kept all the same."""
+    from sira_assets.errors import InputError
+    from sira_assets.relight.movie import ffmpeg, write_movie
+
+    if ffmpeg() is None:
+        return
+    try:
+        write_movie(path, pictures, fps=fps)
+    except InputError as error:
+        print(f"note: no {path.name}: {error}", file=sys.stderr)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -208,6 +220,8 @@ def main(argv: list[str] | None = None) -> int:
         p.error("a turntable is written as .webp, .mp4 or a folder")
     if not turning and args.out.suffix.lower() in MOVIES:
         p.error("a movie wants --rotate N or --orbit N")
+    if args.background == "none" and args.out.suffix.lower() == ".mp4":
+        p.error("--background none: MP4 has no transparency; name the file .webp, or a folder")
     if args.size is not None and not 16 <= args.size <= 4096:
         p.error("--size must be 16 to 4096")
     if args.samples is not None and not 1 <= args.samples <= 8:

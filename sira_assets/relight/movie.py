@@ -11,6 +11,7 @@ import numpy as np
 
 from sira_assets.atomic import replacing, write_bytes
 from sira_assets.errors import InputError
+from sira_assets.numerics.colour import linear_from_srgb, srgb_from_linear
 
 WEBP_QUALITY = 85
 # H.264's constant rate factor: 18 is where differences stop being seen by most (FFmpeg's H.264 encoding guide).
@@ -23,7 +24,8 @@ def write_movie(path: str | Path, frames: Sequence[np.ndarray], *, fps: float = 
     Parameters
     ----------
     path : ends in .webp or .mp4
-    frames : (H, W, 3) or (H, W, 4) uint8 sRGB, all of one size; MP4 has no alpha: there they must have three channels
+    frames : (H, W, 3) or (H, W, 4) uint8 sRGB with straight alpha, all of one size; MP4 has no alpha: there they are
+        laid over black
     fps : frames a second
 
     Raises
@@ -84,6 +86,14 @@ def _webp(frames: Sequence[np.ndarray], fps: float) -> bytes:
     return buffer.getvalue()
 
 
+def _over_black(frame: np.ndarray) -> np.ndarray:
+    """(H, W, 3) of a frame: colours times alpha where it has one, in linear light as everywhere."""
+    if frame.shape[2] == 3:
+        return frame
+    linear = linear_from_srgb(frame[..., :3] / 255.0) * (frame[..., 3:] / 255.0)
+    return np.rint(255.0 * srgb_from_linear(linear)).astype(np.uint8)
+
+
 def _write_mp4(path: Path, frames: Sequence[np.ndarray], fps: float) -> None:
     # H.264 in 4:2:0 wants even sides: an odd one loses its last row or column.
     height, width = (side - side % 2 for side in frames[0].shape[:2])
@@ -93,7 +103,7 @@ def _write_mp4(path: Path, frames: Sequence[np.ndarray], fps: float) -> None:
     same = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
     with tempfile.TemporaryFile() as raw, replacing(path) as temporary:
         for frame in frames:
-            raw.write(np.ascontiguousarray(frame[:height, :width, :3]).tobytes())
+            raw.write(np.ascontiguousarray(_over_black(frame)[:height, :width]).tobytes())
         raw.seek(0)
         command = [ffmpeg(), "-y", "-loglevel", "error", *form, "-i", "-", *code, *same, str(temporary)]
         done = subprocess.run(command, stdin=raw, capture_output=True, check=False)

@@ -1,5 +1,6 @@
 """Cameras of an asset, turns, backgrounds, and movies on disk."""
 
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -195,6 +196,24 @@ def test_mp4_without_ffmpeg_says_what_is_missing(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"\.webp or \.mp4"):
         movie.write_movie(tmp_path / "turn.gif", [np.zeros((8, 8, 3), np.uint8)])
     assert not list(tmp_path.iterdir())
+
+
+def test_an_mp4_of_transparent_frames_lies_over_black(tmp_path, monkeypatch):
+    given = []
+
+    def take(command, *, stdin, **options):
+        given.append(np.frombuffer(stdin.read(), np.uint8))
+        return subprocess.CompletedProcess(command, 0, b"", b"")
+
+    monkeypatch.setattr(movie, "ffmpeg", lambda: "ffmpeg")
+    monkeypatch.setattr(movie.subprocess, "run", take)
+    made = render_asset(ball(material(base=(0.2, 0.3, 0.4))), camera(), constant(), shadows=False)
+    clear, black = (encode_frame(frame_of(made), backdrop) for backdrop in (Backdrop(), Backdrop(0.0)))
+    movie.write_movie(tmp_path / "turn.mp4", [clear, black])
+    over, plain = np.split(given[0].astype(int), 2)
+    assert np.array_equal(plain, black.ravel())
+    # Straight colour and alpha were rounded on their own.
+    assert np.abs(over - plain).max() <= 1
 
 
 def test_mp4_by_ffmpeg(tmp_path):

@@ -168,6 +168,17 @@ def test_mp4_without_ffmpeg_is_said_before_any_work(avatar, tmp_path, monkeypatc
     assert not list(tmp_path.iterdir())
 
 
+def test_an_ffmpeg_without_h264_costs_the_mp4_alone(avatar, tmp_path, monkeypatch, capsys):
+    poor = tmp_path / "ffmpeg"
+    poor.write_text("#!/bin/sh\necho \"Unknown encoder 'libx264'\" >&2\nexit 1\n")
+    poor.chmod(0o755)
+    monkeypatch.setattr(movie, "ffmpeg", lambda: str(poor))
+    assert run(avatar, "--quality", "draft", "--rotate", 3, "--out", tmp_path / "turn") == 0
+    assert sorted(p.name for p in (tmp_path / "turn").iterdir()) == ["frames", "relight.json", "turntable.webp"]
+    assert "note: no turntable.mp4: expected ffmpeg" in (said := capsys.readouterr().err)
+    assert "libx264" in said
+
+
 def test_interrupted_leaves_nothing(avatar, tmp_path, monkeypatch, capsys):
     real = turntable.light_asset
     calls = []
@@ -191,6 +202,7 @@ def test_interrupted_leaves_nothing(avatar, tmp_path, monkeypatch, capsys):
         ["a", "--out", "x.png", "--rotate", "4"],
         ["a", "--out", "x.webp"],
         ["a", "--out", "x.webp", "--rotate", "1"],
+        ["a", "--out", "x.mp4", "--rotate", "4", "--background", "none"],
         ["a", "--out", "x.webp", "--rotate", "4", "--orbit", "4"],
         ["a", "--out", "x.png", "--size", "5"],
         ["a", "--out", "x.png", "--samples", "0"],
