@@ -8,11 +8,14 @@ import torch
 from assets import asset, ball, camera, constant, lamp, material, plate
 
 from sira_assets.errors import InputError
+from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
+from sira_assets.relight import render
 from sira_assets.relight.cameras import rotation_about
 from sira_assets.relight.glb_model import Texture
 from sira_assets.relight.gltf_shading import grazing_share
 from sira_assets.relight.render import light_asset, render_asset, see_asset
+from sira_assets.relight.surface import Surface
 from sira_assets.scene.sg_light import SGLight
 
 MATT = material(base=(1.0, 1.0, 1.0), weight=0.0)
@@ -173,6 +176,26 @@ def test_light_without_lobes_is_black():
     made = light_asset(see_asset(ball(), camera()), SGLight(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))))
     assert made.radiance.max() == 0.0
     assert made.alpha.max() == 1.0
+
+
+def test_a_picture_cast_in_bands_is_the_very_same(monkeypatch):
+    at = camera(37)
+    whole = see_asset(ball(), at, supersample=3)
+    cast, sizes = Raycaster.cast, []
+
+    def counted(self, origins, directions):
+        sizes.append(len(directions))
+        return cast(self, origins, directions)
+
+    monkeypatch.setattr(Raycaster, "cast", counted)
+    monkeypatch.setattr(render, "_RAYS_AT_ONCE", 700)
+    bands = see_asset(ball(), at, supersample=3)
+    assert max(sizes) == 6 * 111  # rows that fit
+    assert sum(sizes) == 111 * 111  # and the last band is what is left
+    for name in ("index", "normals", "view"):
+        np.testing.assert_array_equal(getattr(bands, name), getattr(whole, name))
+    for name in Surface.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(bands.surface, name), getattr(whole.surface, name))
 
 
 def test_cameras_that_see_nothing_are_said():
