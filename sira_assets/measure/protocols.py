@@ -109,7 +109,8 @@ def measure_surface(
 
     Raises
     ------
-    InputError : landmarks the protocol needs are absent, or `now` is asked for without scale.
+    InputError : landmarks the protocol needs are absent, or speak of another place than the truth's mesh; or `now` is
+        asked for without scale.
     """
     pred, truth = without_inner(pred, truth, config)
     return measure_prepared(pred, truth, config, pred_landmarks=pred_landmarks)
@@ -138,7 +139,7 @@ def measure_prepared(
 def _surface(pred, truth, config, pred_landmarks) -> SurfaceReport:
     true_points = sample_surface(truth.mesh, config.samples, seed=config.seed).points
     gt_surface = Surface(truth.mesh)
-    regions = _regions(truth, true_points)
+    regions = _true_regions(truth, true_points)
     kind = config.align or "none"
     alignment = _align(pred, true_points[regions[0][1]], AlignmentConfig(kind), truth, pred_landmarks)
     moved = pred.transformed(alignment.gt_from_pred)
@@ -166,7 +167,7 @@ def _h3ds(pred, truth, config, pred_landmarks) -> SurfaceReport:
     from scipy.spatial import cKDTree
 
     true_points = truth.mesh.vertices
-    regions = _regions(truth, true_points)
+    regions = _true_regions(truth, true_points)
     kind = config.align or "similarity"
     rule = AlignmentConfig(kind, nearest="vertex", keep=1.0)
     alignment = _align(pred, true_points[regions[0][1]], rule, truth, pred_landmarks)
@@ -195,11 +196,7 @@ def _now(pred, truth, config, pred_landmarks) -> SurfaceReport:
     centre, radius = now_disc(truth.landmarks)
     points = truth.mesh.vertices[np.linalg.norm(truth.mesh.vertices - centre, axis=1) <= radius]
     if not len(points):
-        raise InputError(
-            expected="a scan with vertices around the nose",
-            received=f"none within {radius * MM_PER_M:.0f} mm of it",
-            remedy="check that landmarks and mesh share frame and unit",
-        )
+        raise _astray("vertices around the nose", f"none within {radius * MM_PER_M:.0f} mm of it")
     rule = AlignmentConfig("similarity", keep=1.0)
     seven = {name: pred_landmarks[name] for name in NOW_LANDMARKS if name in pred_landmarks}
     alignment = _align(pred, points, rule, truth, seven)
@@ -232,6 +229,25 @@ def _regions(truth: Truth, points: np.ndarray) -> tuple[tuple[Region, np.ndarray
         out.append(("head", in_head(points, truth.canonical_from_world)))
     out.append(("all", np.ones(len(points), bool)))
     return tuple(out)
+
+
+def _true_regions(truth: Truth, points: np.ndarray) -> tuple[tuple[Region, np.ndarray], ...]:
+    """`_regions` of points of the truth itself.
+
+    Raises
+    ------
+    InputError : one of them is empty: landmarks or canonical frame speak of another place than the mesh.
+    """
+    regions = _regions(truth, points)
+    for name, inside in regions:
+        if not inside.any():
+            raise _astray(f"some surface in the region {name}", "none there")
+    return regions
+
+
+def _astray(expected: str, received: str) -> InputError:
+    remedy = "check that landmarks and mesh share frame and unit"
+    return InputError(expected=f"a scan with {expected}", received=received, remedy=remedy)
 
 
 def _choices(config, regions, alignment: Alignment, own: tuple[Choice, ...]) -> tuple[Choice, ...]:

@@ -146,6 +146,26 @@ def test_now_says_what_it_lacks(truth):
         measure_surface(ball(0.1), truth, ProtocolConfig("now", "rigid"))
 
 
+@pytest.mark.parametrize(
+    ("protocol", "mesh", "marks"),
+    [("surface", 1e3, 1), ("surface", 1, 1e3), ("h3ds", 1e3, 1), ("h3ds", 1, 1e3), ("now", 1e3, 1)],
+)
+def test_landmarks_in_another_unit_than_the_mesh_are_said(truth, protocol, mesh, marks):
+    wrong = Truth(truth.mesh.transformed(np.diag([mesh, mesh, mesh, 1.0])), {k: marks * x for k, x in NINE.items()})
+    with pytest.raises(InputError, match="frame and unit"):
+        measure_surface(ball(0.1), wrong, ProtocolConfig(protocol, samples=1000, leave_out_inner=False))
+
+
+@pytest.mark.parametrize("protocol", ["surface", "h3ds"])
+def test_a_canonical_frame_elsewhere_is_said(truth, protocol):
+    below = np.eye(4)
+    below[1, 3] = -1.0
+    with pytest.raises(InputError, match=r"region head.*frame and unit"):
+        measure_surface(
+            ball(0.1), Truth(truth.mesh, {}, below), ProtocolConfig(protocol, samples=1000, leave_out_inner=False)
+        )
+
+
 def test_every_choice_is_named(truth):
     for protocol in ("surface", "h3ds", "now"):
         names = [c.name for c in measure_surface(ball(0.1, 3), truth, ProtocolConfig(protocol, samples=1000)).choices]
