@@ -160,9 +160,10 @@ def by_blender(
         run = subprocess.run([*head, str(job)], capture_output=True, text=True, env=environment, cwd=out, check=False)
         made = [Path(out) / f"{k}.json" for k in range(len(files))]
         if run.returncode or not all(p.is_file() for p in made):
+            said = (run.stderr or run.stdout).strip().splitlines()
             raise InputError(
                 expected=f"Blender, or a Python with bpy, at {blender}",
-                received=(run.stderr or run.stdout).strip().splitlines()[-1:] or f"exit status {run.returncode}",
+                received=said[-1] if said else f"exit status {run.returncode}",
                 remedy="give another --blender",
             )
         return [_from_blender(path, said) for path, said in zip(files, made, strict=True)]

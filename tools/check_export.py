@@ -94,7 +94,7 @@ def looked_up(reading):
 
 
 def readings(folder: Path, required: list[str]) -> list:
-    """What the programs inside this Python read; those that are not installed are left out."""
+    """What the programs inside this Python read; those not installed, and files not there, are left out."""
     import importlib.util
 
     import _readers
@@ -103,8 +103,8 @@ def readings(folder: Path, required: list[str]) -> list:
     # What a file requires, trimesh and Open3D do not look at: they would take codes for positions.
     names = ("avatar.obj",) if required else ("avatar.glb", "avatar.obj")
     with _readers.quiet():
-        for name in names:
-            out += [_readers.by_trimesh(folder / name), _readers.by_open3d(folder / name)]
+        for path in (folder / name for name in names if (folder / name).is_file()):
+            out += [_readers.by_trimesh(path), _readers.by_open3d(path)]
         if importlib.util.find_spec("pxr"):
             out += [_readers.by_usd(p) for p in (folder / "avatar.usdc", folder / "avatar.usdz") if p.is_file()]
     return out
@@ -207,7 +207,11 @@ def show(made: dict) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Exit status: 0 all agree, 2 usage, 3 bad input, 4 some program disagrees."""
-    return _cli.run(lambda: body(parser().parse_args(argv)))
+    p = parser()
+    args = p.parse_args(argv)
+    if min(args.size, args.samples, args.threads) < 1:
+        p.error("--size, --samples and --threads must be at least 1")
+    return _cli.run(lambda: body(args))
 
 
 if __name__ == "__main__":

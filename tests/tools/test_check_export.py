@@ -101,6 +101,33 @@ def test_a_quantised_file_is_left_to_programs_that_know_the_extension(tmp_path, 
     assert found["extensions_required"] == ["KHR_mesh_quantization"]
 
 
+def test_an_avatar_without_obj_is_read_by_what_is_there(tmp_path, capsys):
+    write_avatar(avatar_of(shaded_maps()), tmp_path)
+    (tmp_path / "avatar.obj").unlink()
+    status, found = checked(capsys, tmp_path)
+    assert status == 0
+    assert {r["file"] for r in found["readings"]} == {"avatar.glb"}
+
+
+def test_what_is_no_blender_is_said_in_its_own_last_words(folder, tmp_path, capsys):
+    program = tmp_path / "blender"
+    program.write_text("#!/bin/sh\necho first >&2\necho cannot start >&2\nexit 1\n")
+    program.chmod(0o755)
+    assert check_export.main([str(folder), "--blender", str(program)]) == 3
+    assert "; received cannot start; " in capsys.readouterr().err
+    program.write_text("#!/bin/sh\nexit 7\n")
+    assert check_export.main([str(folder), "--blender", str(program)]) == 3
+    assert "; received exit status 7; " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--size", "--samples", "--threads"])
+def test_numbers_below_one_are_usage_errors(option, capsys):
+    with pytest.raises(SystemExit) as end:
+        check_export.main(["avatar", option, "0"])
+    assert end.value.code == 2
+    assert option in capsys.readouterr().err
+
+
 def test_a_folder_that_holds_no_avatar_is_refused(tmp_path, capsys):
     assert check_export.main([str(tmp_path)]) == 3
     assert "avatar.glb" in capsys.readouterr().err
