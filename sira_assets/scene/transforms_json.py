@@ -123,9 +123,12 @@ def _frame(shared: Mapping, frame: Mapping, folder: Path, path: Path) -> Frame:
 def read_camera(path: str | Path, *, frame: int = 0) -> Camera:
     """One camera of a `transforms.json`, without its picture where `w` and `h` stand in the file.
 
+    It is the pinhole that `read_transforms` gives the frame as well; the distortion, which there is undone in the
+    picture, is left out.
+
     Raises
     ------
-    InputError : not of that form, no such frame, or an unusable camera.
+    InputError : not of that form, no such frame, an unusable camera, or a lens that `read_transforms` refuses.
     """
     path = Path(path)
     shared, frames = _shared_and_frames(path)
@@ -134,6 +137,7 @@ def read_camera(path: str | Path, *, frame: int = 0) -> Camera:
             expected=f"a frame of 0 to {len(frames) - 1} in {path}", received=f"{frame}", remedy="choose another"
         )
     data = {**shared, **frames[frame]}
+    _distortion(data, path)  # refuses lenses that are no pinhole behind their distortion
     width, height = (_number(data, key, None, path) for key in ("w", "h"))
     if not width or not height:
         width, height = image_size(path_inside(path.parent, data.get("file_path")))

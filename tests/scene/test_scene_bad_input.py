@@ -8,6 +8,7 @@ import pytest
 from sira_assets.errors import InputError
 from sira_assets.scene.image import write_exr, write_png
 from sira_assets.scene.read_scene import read_frames, read_scene
+from sira_assets.scene.transforms_json import read_camera
 
 
 def refused(path, match, **options):
@@ -154,6 +155,22 @@ def test_size_that_disagrees_and_fisheye(scene):
     scene.data.update(camera_model="OPENCV", k1=-5.0)
     scene.save()
     refused(scene.folder, "inverted")
+
+
+def test_a_camera_alone_is_a_pinhole_or_refused(scene):
+    pinhole = read_camera(scene.folder / "transforms.json")
+    assert pinhole.intrinsics.tolist() == scene.camera.intrinsics.tolist()
+    scene.data.update(camera_model="OPENCV", k1=-0.1)
+    scene.save()
+    bent = read_camera(scene.folder / "transforms.json")
+    assert bent.intrinsics.tolist() == pinhole.intrinsics.tolist()
+    for wrong in ({"camera_model": "OPENCV_FISHEYE"}, {"k4": 0.1}, {"k1": "much"}):
+        scene.frame.update(wrong)
+        scene.save()
+        with pytest.raises(InputError, match=r"undistort|k1"):
+            read_camera(scene.folder / "transforms.json")
+        for key in wrong:
+            del scene.frame[key]
 
 
 def test_landmarks_that_are_not(scene, tmp_path):
