@@ -284,7 +284,8 @@ def run(
         baking = replace(settings.bake, size=max(settings.bake.size >> level, 64))
         atlas = stage(f"unwrap{name}", unwrap, mesh, unwrapping)
         there = (head, mesh, atlas, light, to_world)
-        textures = stage(f"bake{name}", bake, *there, baking, shadows=shadows, surface=surface, device=device)
+        lit = {"shadows": shadows, "surface": surface, "roughness": appearance.roughness}
+        textures = stage(f"bake{name}", bake, *there, baking, **lit, device=device)
         return Avatar(
             mesh.transformed(to_world),
             atlas,

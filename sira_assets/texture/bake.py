@@ -110,6 +110,7 @@ def bake(
     *,
     shadows: SurfaceVisibility | None = None,
     surface: TriangleMesh | None = None,
+    roughness: float | None = None,
     device: str = "cpu",
 ) -> TextureSet:
     """Bake the maps asked for of `field` over `mesh_canonical`.
@@ -121,6 +122,7 @@ def bake(
     world_from_canonical : (4, 4) similarity
     shadows : what the full surface sees of this light; light arrives everywhere if None
     surface : the full surface, which the occlusion map is cast on; that of `shadows`, or the mesh itself, if None
+    roughness : of the highlights in the radiance map; `render.shading.ROUGHNESS` if None
 
     Returns
     -------
@@ -145,16 +147,18 @@ def bake(
         raise InputError(expected="an atlas that covers some texels", received="none", remedy="unwrap again")
     found = _joined(bands)
     seams = find_seams(mesh_canonical, atlas, size)
-    return _maps(found, coverage, seams, light, world_from_canonical, config, shadows, surface or mesh_canonical)
+    lit = (light, roughness, shadows, surface or mesh_canonical)
+    return _maps(found, coverage, seams, world_from_canonical, config, *lit)
 
 
 def _maps(
     found: _Texels,
     coverage: np.ndarray,
     seams: Seams,
-    light: SGLight,
     world_from_canonical: np.ndarray,
     config: BakeConfig,
+    light: SGLight,
+    roughness: float | None,
     shadows: SurfaceVisibility | None,
     surface: TriangleMesh,
 ) -> TextureSet:
@@ -176,7 +180,7 @@ def _maps(
     irradiance = radiance = occlusion = visibility = None
     if {"irradiance", "radiance"} & set(wanted):
         albedos = {"diffuse": found.diffuse, "specular_f0": found.specular_f0} if "radiance" in wanted else {}
-        irradiance, radiance = light_maps(found.normal, turned, seen, **albedos)
+        irradiance, radiance = light_maps(found.normal, turned, seen, roughness=roughness, **albedos)
     if "visibility" in wanted:
         visibility = np.ones((len(found.number), len(light)), np.float32) if seen is None else seen
     if "occlusion" in wanted:

@@ -20,6 +20,7 @@ def light_maps(
     *,
     diffuse: np.ndarray | None = None,
     specular_f0: np.ndarray | None = None,
+    roughness: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Irradiance (N, 3), and radiance (N, 3) where both albedos are given; float32.
 
@@ -28,6 +29,7 @@ def light_maps(
     normals : (N, 3) unit
     light : in the frame of the normals
     visibility : (N, M) in [0, 1], or None
+    roughness : of the specular lobe, 0.05 to 1; `render.shading.ROUGHNESS` if None
     """
     lit = diffuse is not None and specular_f0 is not None
     reflects = lit and bool((specular_f0 > 0).any())
@@ -38,12 +40,13 @@ def light_maps(
     import torch
 
     from sira_assets.numerics.sg import irradiance
-    from sira_assets.render.shading import shade
+    from sira_assets.render.shading import ROUGHNESS, shade
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.tensor(array, dtype=torch.float32)
 
     lobes = tensor(light.axis), tensor(light.sharpness), tensor(light.amplitude)
+    rough = ROUGHNESS if roughness is None else roughness
     chunk = max(1, _AT_ONCE // len(light))
     with torch.no_grad():
         for start in range(0, len(normals), chunk):
@@ -52,7 +55,7 @@ def light_maps(
             seen = None if visibility is None else tensor(visibility[rows])
             if lit:
                 f0 = tensor(specular_f0[rows]) if reflects else None
-                shaded = shade(n, n, tensor(diffuse[rows]), f0, *lobes, visibility=seen)
+                shaded = shade(n, n, tensor(diffuse[rows]), f0, *lobes, roughness=rough, visibility=seen)
                 irradiance_out[rows], radiance[rows] = shaded.irradiance.numpy(), shaded.radiance.numpy()
             else:
                 irradiance_out[rows] = irradiance(n, *lobes, visibility=seen).numpy()

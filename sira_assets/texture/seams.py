@@ -76,7 +76,7 @@ def even_seams(values: np.ndarray, seams: Seams) -> np.ndarray:
     -------
     (S, S, C) or (S, S) : the map itself where nothing had to change; no value leaves the range of those given.
     """
-    if not len(seams.texels):
+    if not len(seams.texels) or not values.size:
         return values
     flat = values.reshape(len(values) ** 2, -1)
     scale = max(1.0, float(flat.max()))

@@ -121,6 +121,19 @@ def test_a_resumed_run_finds_its_fits_and_makes_the_same(journey, monkeypatch):
     np.testing.assert_array_equal(first.avatar.light.amplitude, again.avatar.light.amplitude)
 
 
+def test_the_bake_is_told_the_fitted_roughness(journey):
+    first, work = journey
+    told = []
+
+    def listen(stage, function, *arguments, **options):
+        if stage == "bake":
+            told.append(options["roughness"])
+        return function(*arguments, **options)
+
+    pipeline.run(portrait(), SETTINGS, prior=ball_prior(), work=work, runner=listen)
+    assert told == [first.appearance.roughness]
+
+
 def test_other_settings_do_not_find_those_fits(journey, monkeypatch):
     _, work = journey
     asked = []

@@ -25,6 +25,7 @@ from sira_assets.texture.unwrap import UnwrapConfig, unwrap
 LIGHT = SGLight(np.array([[0, 0, 1.0], [1, 0, 0]]), np.array([8.0, 2.0]), np.array([[2.0, 2, 2], [0.3, 0.4, 0.5]]))
 SIZE = 256
 CUBE_M = 0.02
+ROUGHNESS = 0.3
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def baked():
     atlas = unwrap(mesh, UnwrapConfig(methods=(), texture_size=SIZE))
     world = np.array([[0, 0, 2.0, 1], [2, 0, 0, 2], [0, 2, 0, 3], [0, 0, 0, 1]])
     shadows = SurfaceVisibility(mesh, np.tile(np.array([0.5, 1.0], np.float32), (len(mesh.vertices), 1)))
-    maps = bake(field, mesh, atlas, LIGHT, world, BakeConfig(SIZE, 3, MAPS), shadows=shadows)
+    maps = bake(field, mesh, atlas, LIGHT, world, BakeConfig(SIZE, 3, MAPS), shadows=shadows, roughness=ROUGHNESS)
     return field, mesh, atlas, world, maps
 
 
@@ -125,7 +126,7 @@ def test_light_maps_are_the_shading_of_what_the_other_maps_say(baked):
     # Single precision along the way, and a position rounded to 1e-7 of it.
     np.testing.assert_allclose(maps.irradiance[used], expected, atol=2e-5 * expected.max())
     albedos = torch.tensor(maps.diffuse[used]).double(), torch.tensor(maps.specular_f0[used]).double()
-    radiance = shade(normal, normal, *albedos, *lobes, visibility=seen).radiance.numpy()
+    radiance = shade(normal, normal, *albedos, *lobes, roughness=ROUGHNESS, visibility=seen).radiance.numpy()
     np.testing.assert_allclose(maps.radiance[used], radiance, atol=2e-4 * radiance.max())
 
 
@@ -150,6 +151,18 @@ def test_a_convex_head_hides_nothing_from_itself_and_a_wall_half(baked):
     assert np.median(error) < 0.03  # 256 rays: 0.01; 8 mm facets
     assert hidden.diffuse is None
     assert hidden.irradiance is None
+
+
+@pytest.mark.parametrize("shadowed", [True, False])
+def test_a_light_without_lobes_has_maps_of_nothing(baked, shadowed):
+    field, mesh, atlas, _, _ = baked
+    dark = SGLight(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    shadows = SurfaceVisibility(mesh, np.ones((len(mesh.vertices), 0), np.float32)) if shadowed else None
+    config = BakeConfig(64, 1, ("visibility", "radiance", "irradiance"))
+    maps = bake(field, mesh, atlas, dark, np.eye(4), config, shadows=shadows)
+    assert maps.visibility.shape == (64, 64, 0)
+    assert not maps.radiance.any()
+    assert not maps.irradiance.any()
 
 
 def test_positions_lie_on_the_surface_in_the_world(baked):
