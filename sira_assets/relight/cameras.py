@@ -11,6 +11,7 @@ import numpy as np
 from sira_assets.errors import InputError
 from sira_assets.relight.glb_model import GlbModel
 from sira_assets.scene.camera import Camera
+from sira_assets.scene.canonical import similarity_fault, similarity_scale
 
 # The framing camera stands this many of the asset's largest extents away (a bust of 0.4 m from 1.2 m, as portraits are
 # taken) and leaves this share of the picture around it.
@@ -71,17 +72,16 @@ def head_axes(model: GlbModel) -> np.ndarray:
     if said is None:
         return np.eye(3)
     try:
-        block = np.array(said, np.float64).reshape(4, 4)[:3, :3]
+        matrix = np.array(said, np.float64).reshape(4, 4)
     except (TypeError, ValueError):
-        block = np.zeros((3, 3))
-    scale = np.cbrt(np.linalg.det(block)) if np.isfinite(block).all() else 0.0
-    if scale <= 0 or np.abs(block @ block.T / scale**2 - np.eye(3)).max() > 1e-3:
+        matrix = np.full((4, 4), np.nan)
+    if similarity_fault(matrix):
         raise InputError(
             expected="a 4x4 similarity in scene.extras.canonical_from_world",
             received=f"{said}"[:80],
             remedy="export the avatar again",
         )
-    return block / scale
+    return matrix[:3, :3] / similarity_scale(matrix)
 
 
 def up_axis(model: GlbModel) -> np.ndarray:

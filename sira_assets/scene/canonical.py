@@ -94,6 +94,24 @@ def similarity_scale(matrix: np.ndarray) -> float:
     return float(np.cbrt(np.linalg.det(np.asarray(matrix, np.float64)[:3, :3])))
 
 
+def similarity_fault(matrix: np.ndarray) -> str:
+    """Why a (4, 4) matrix is no similarity without reflection, in words; "" where it is one to a thousandth.
+
+    What is measured does not change when a rotation is put before or behind it.
+    """
+    matrix = np.asarray(matrix, np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        return f"values that are not finite or not 4x4: {matrix.tolist()}"[:80]
+    if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+        return f"a last row of {matrix[3].tolist()}, not 0 0 0 1"
+    if similarity_scale(matrix) <= 0:
+        return f"determinant {np.linalg.det(matrix[:3, :3]):.3g}"
+    stretch = np.linalg.svd(matrix[:3, :3], compute_uv=False) / similarity_scale(matrix)
+    if np.abs(stretch**2 - 1.0).max() > 1e-3:
+        return f"one that stretches by {stretch.min():.4g} to {stretch.max():.4g} of its scale"
+    return ""
+
+
 def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Apply a (4, 4) affine map to points (..., 3)."""
     matrix = np.asarray(matrix, np.float64)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sira_assets.errors import InputError
 from sira_assets.scene.camera import Camera
-from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, similarity_scale, transform_points
+from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, similarity_fault, transform_points
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class Portrait:
     mask : (H, W) bool, True on the head
     camera : pose and intrinsics of the image, in the scene's world
     canonical_from_world : (4, 4) similarity into the canonical head frame
-    saturated : (H, W) bool, True where the file's encoding clipped the pixel
+    saturated : (H, W) bool, True where a channel is white or brighter: clipped by the file's encoding, or beyond what a
+        fit compares
     name : for reports
     metres_per_unit : length of one world unit in metres
     pose_is_estimated : canonical_from_world came from 2D landmarks, so the fit should refine it
@@ -73,12 +74,13 @@ def check_head_before_camera(camera: Camera, canonical_from_world: np.ndarray) -
 
     Raises
     ------
-    InputError : the nine canonical landmarks, brought to the world, have no positive depth or leave the image.
+    InputError : canonical_from_world is no similarity; or the nine canonical landmarks, brought to the world, have no
+        positive depth or leave the image.
     """
-    if not np.isfinite(canonical_from_world).all() or similarity_scale(canonical_from_world) <= 0:
+    if fault := similarity_fault(canonical_from_world):
         raise InputError(
             expected="canonical_from_world, a similarity without reflection",
-            received=f"determinant {np.linalg.det(canonical_from_world[:3, :3]):.3g}",
+            received=fault,
             remedy="recompute it from landmarks, or leave it out and give --landmarks",
         )
     points = np.array(list(CANONICAL_LANDMARKS_M.values()))

@@ -106,6 +106,26 @@ def test_pose_that_is_not_rigid_and_similarity_that_mirrors(scene):
     refused(scene.folder, "without reflection")
 
 
+@pytest.mark.parametrize(
+    ("place", "value"), [((0, 1), 0.05), ((2, 2), 1.01), ((3, 3), 2.0), ((3, 0), 0.1), ((1, 1), 0.0)]
+)
+def test_canonical_from_world_that_is_no_similarity(scene, place, value):
+    matrix = np.eye(4)
+    matrix[place] = value
+    scene.data["canonical_from_world"] = matrix.tolist()
+    scene.save()
+    refused(scene.folder, "a similarity without reflection.*recompute it from landmarks")
+
+
+def test_a_similarity_rounded_to_four_digits_is_one(scene):
+    matrix = scene.camera.camera_from_world.round(4)
+    matrix[:3, :3] *= 0.9
+    scene.frame["transform_matrix"] = np.diag([1.0, -1, -1, 1]).tolist()
+    scene.data["canonical_from_world"] = np.linalg.inv(matrix).tolist()
+    scene.save()
+    read_scene(scene.folder)
+
+
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/hostname", "sub/../../secret.png"])
 @pytest.mark.parametrize("key", ["file_path", "mask_path"])
 def test_path_that_leads_out_of_the_scene(tmp_path, scene, name, key):
