@@ -261,15 +261,17 @@ def _portrait(
         said.append(f"{negative} pixel(s) with negative radiance set to 0")
     if mask.mean() > FULL_MASK:
         said.append("the mask covers the whole picture: the background will be taken for the head")
-    clipped = float(image.saturated[mask].mean()) if mask.any() else 0.0
+    # An EXR goes on above white, where pictures are compared no more: it says "at least white", as a clipped file does.
+    saturated = image.saturated | (image.linear >= 1.0).any(-1)
+    clipped = float(saturated[mask].mean()) if mask.any() else 0.0
     if clipped > 0.01:
-        said.append(f"{100 * clipped:.0f} % of the head is clipped by the picture's encoding")
+        said.append(f"{100 * clipped:.0f} % of the head is clipped: as bright as white, or brighter")
     return Portrait(
         image_linear=np.maximum(image.linear, 0.0),  # NaN passes on to Portrait, which says where it is
         mask=mask,
         camera=camera,
         canonical_from_world=canonical_from_world,
-        saturated=image.saturated,
+        saturated=saturated,
         name=name,
         metres_per_unit=metres_per_unit,
         pose_is_estimated=pose_is_estimated,

@@ -128,6 +128,29 @@ def test_full_mask_and_clipped_head_are_said(scene):
     assert "100 % of the head is clipped" in said
 
 
+def test_exr_pixels_brighter_than_white_are_flagged_and_said(scene):
+    pixels = np.full((*scene.mask.shape, 3), 0.5, np.float32)
+    bright = np.zeros_like(scene.mask)
+    bright[20:30, 20:30] = True
+    pixels[bright] = [0.2, 3.0, 0.2]
+    write_exr(scene.folder / "image.exr", pixels)
+    scene.frame["file_path"] = "image.exr"
+    scene.save()
+    portrait = read_scene(scene.folder)
+    assert np.array_equal(portrait.saturated, bright)
+    assert portrait.image_linear.max() == 3.0
+    assert any(f"{100 * bright[scene.mask].mean():.0f} % of the head is clipped" in line for line in portrait.warnings)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_only_a_pngs_largest_code_is_clipped(scene, bits):
+    largest = 2**bits - 1
+    codes = np.full((*scene.mask.shape, 3), largest - 1, f"uint{bits}")
+    codes[3, 4, 1] = largest
+    write_png(scene.folder / "image.png", codes)
+    assert np.argwhere(read_scene(scene.folder).saturated).tolist() == [[3, 4]]
+
+
 def test_negative_exr_pixels_are_set_to_zero_and_said(scene):
     pixels = np.full((*scene.mask.shape, 3), 0.5, np.float32)
     pixels[3, 4, 1] = -0.1
