@@ -62,7 +62,8 @@ def clean_mesh(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -> Trian
 def clean_with_report(mesh: TriangleMesh, config: CleanConfig = CleanConfig()) -> tuple[TriangleMesh, CleanReport]:
     """Weld, drop bad faces, keep the largest piece, repair what is not manifold, close small holes and handles.
 
-    Normals of vertices that survive are kept; new vertices get the mean of their faces'.
+    Normals are kept but along the cuts of closed handles, where they become their faces' mean; all do where repairing
+    what was not manifold changes how many vertices there are.
 
     Parameters
     ----------
@@ -221,9 +222,4 @@ def _meshlab_repair(mesh: TriangleMesh, close_holes_of: int) -> TriangleMesh:
     result = meshes.current_mesh()
     # Copies: the matrices are views that die with the MeshSet.
     vertices, faces = np.array(result.vertex_matrix()), np.array(result.face_matrix(), np.int64)
-    normals = np.array(result.vertex_normal_matrix())
-    if len(vertices) == len(mesh.vertices):
-        normals = mesh.normals
-    else:
-        normals = None
-    return TriangleMesh(vertices, faces, normals)
+    return TriangleMesh(vertices, faces, mesh.normals if len(vertices) == len(mesh.vertices) else None)

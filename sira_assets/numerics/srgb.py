@@ -1,6 +1,6 @@
 """sRGB encoding in torch, differentiable (IEC 61966-2-1); `numerics.colour` has it in NumPy.
 
-Notation: linear and encoded values in [0, 1]; values outside are clipped.
+Notation: linear and encoded values in [0, 1]; encoding clips values outside, decoding follows the curve's own pieces.
 """
 
 import torch

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sira_assets.asset.encoding import F0_OF_IOR_1_5
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.relight.glb_model import GlbModel
 from sira_assets.relight.surface import mesh_of, surface_at
 from sira_assets.scene.camera import Camera
-
-F0_PER_KS = 0.04
 
 
 @dataclass(frozen=True)
@@ -57,5 +56,5 @@ def view_asset(model: GlbModel, camera: Camera) -> AssetView:
         picture(sign * surface.normal),
         picture(sign * surface.mapped_normal) if has_map else None,
         picture(surface.diffuse),
-        picture(surface.f0.mean(1) / F0_PER_KS),
+        picture(surface.f0.mean(1) / F0_OF_IOR_1_5),
     )

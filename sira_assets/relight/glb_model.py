@@ -268,8 +268,8 @@ def _part(reader: _Reader, primitive: dict, pose: np.ndarray) -> dict:
     colours, uv = get("COLOR_0"), get("TEXCOORD_0")
     return {
         "vertices": vertices @ linear.T + pose[:3, 3],
-        "normals": None if normals is None else _unit(normals @ np.linalg.inv(linear)),
-        "tangents": None if tangents is None else np.c_[_unit(tangents[:, :3] @ linear.T), tangents[:, 3]],
+        "normals": None if normals is None else unit(normals @ np.linalg.inv(linear)),
+        "tangents": None if tangents is None else np.c_[unit(tangents[:, :3] @ linear.T), tangents[:, 3]],
         "uv": np.zeros((len(vertices), 2)) if uv is None else uv,
         "colours": np.ones((len(vertices), 3)) if colours is None else colours[:, :3],
         "faces": faces,
@@ -277,5 +277,6 @@ def _part(reader: _Reader, primitive: dict, pose: np.ndarray) -> dict:
     }
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
+def unit(x: np.ndarray) -> np.ndarray:
+    """(N, 3) vectors of length 1; zero stays zero."""
     return x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)

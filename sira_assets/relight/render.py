@@ -12,9 +12,9 @@ import numpy as np
 
 from sira_assets.errors import InputError
 from sira_assets.mesh.raycast import Raycaster
-from sira_assets.relight.glb_model import GlbModel
+from sira_assets.relight.glb_model import GlbModel, unit
 from sira_assets.relight.gltf_shading import shade_surface
-from sira_assets.relight.surface import Surface, mesh_of, surface_at, unit
+from sira_assets.relight.surface import Surface, mesh_of, surface_at
 from sira_assets.render.visibility import lobe_visibility
 from sira_assets.scene.camera import Camera
 from sira_assets.scene.sg_light import SGLight

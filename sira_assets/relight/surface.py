@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sira_assets.mesh.triangle_mesh import TriangleMesh
-from sira_assets.relight.glb_model import GlbModel, Material
+from sira_assets.relight.glb_model import GlbModel, Material, unit
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,3 @@ def _mapped_normal(material: Material, uv: np.ndarray, normal: np.ndarray, tange
     local[:, :2] *= material.normal_scale
     t, handed = tangent[:, :3], np.sign(tangent[:, 3:])
     return unit(local[:, :1] * t + local[:, 1:2] * np.cross(normal, t) * handed + local[:, 2:] * normal)
-
-
-def unit(x: np.ndarray) -> np.ndarray:
-    """(N, 3) vectors of length 1; zero stays zero."""
-    return x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
