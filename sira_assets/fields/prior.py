@@ -31,7 +31,9 @@ class CodeStatistics:
 
     def code(self, coefficients: Float[Tensor, "*B K"]) -> Float[Tensor, "*B Z"]:
         """z = mean + basis c."""
-        return self.mean + coefficients @ self.basis.T
+        # Autocast multiplies matrices in bfloat16, which would leave a code three digits.
+        with torch.autocast(coefficients.device.type, enabled=False):
+            return self.mean + coefficients @ self.basis.T
 
     @staticmethod
     def of(codes: Float[Tensor, "N Z"], *, variance: float = 0.999) -> "CodeStatistics":

@@ -44,5 +44,7 @@ def corrected(
     correction: PoseCorrection, origins: Float[Tensor, "N 3"], directions: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
     """Rays under the correction."""
-    rotation = rotation_matrix(correction.rotation)
-    return origins @ rotation.T + correction.translation, directions @ rotation.T
+    # Autocast multiplies matrices in bfloat16, which would move a ray's origin by millimetres.
+    with torch.autocast(origins.device.type, enabled=False):
+        rotation = rotation_matrix(correction.rotation)
+        return origins @ rotation.T + correction.translation, directions @ rotation.T

@@ -129,6 +129,9 @@ def test_code_statistics_are_those_of_the_codes():
     s = CodeStatistics.of(codes, variance=0.999999)
     torch.testing.assert_close(s.basis @ s.basis.T, torch.cov(codes.T), atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(s.code(torch.zeros(3)), codes.mean(0))
+    with torch.autocast("cpu", torch.bfloat16):
+        beside_bfloat16 = s.code(codes)
+    torch.testing.assert_close(beside_bfloat16, s.code(codes), rtol=0, atol=0)
     low = CodeStatistics.of(codes, variance=0.9)
     assert low.basis.shape == (3, 1)
 

@@ -62,6 +62,15 @@ def test_pose_correction_is_a_rigid_motion_of_rays():
     np.testing.assert_allclose((o2 + 2.0 * d2).numpy(), moved, atol=1e-5)
 
 
+def test_rays_keep_their_digits_where_networks_run_in_bfloat16():
+    correction = PoseCorrection(torch.tensor([0.1, -0.2, 0.05]), torch.tensor([0.3, 0.1, -0.2]))
+    o, d = 12.0 * torch.randn(20, 3), torch.nn.functional.normalize(torch.randn(20, 3), dim=-1)
+    with torch.autocast("cpu", torch.bfloat16):
+        low = corrected(correction, o, d)
+    for a, b in zip(low, corrected(correction, o, d), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
 def test_rotation_has_a_gradient_at_zero():
     w = torch.zeros(3, requires_grad=True)
     rotation_matrix(w)[0, 1].backward()
