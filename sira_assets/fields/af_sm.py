@@ -80,7 +80,7 @@ class AppearanceFactorModel(nn.Module):
     def lobes(
         self, z_l: Float[Tensor, "B Z"]
     ) -> tuple[Float[Tensor, "B M 3"], Float[Tensor, "B M"], Float[Tensor, "B M 3"]]:
-        """l: unit axes, sharpness in about (0.05, 3000) and amplitude > 0 of each scene's lobes."""
+        """l: unit axes, sharpness in about (0.007, 3000) and amplitude > 0 of each scene's lobes."""
         raw = self.light(z_l).unflatten(-1, (self.config.lobes, 7))
         axis = nn.functional.normalize(self.axes + raw[..., :3], dim=-1)
         sharpness = torch.exp(1.5 + 6.5 * torch.tanh(raw[..., 3] / 4.0))
