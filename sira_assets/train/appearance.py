@@ -17,14 +17,14 @@ from sira_assets.fields.sa_sm import ShapeAppearanceModel, sdf_and_gradient
 from sira_assets.numerics.srgb import srgb_encode
 from sira_assets.render.shading import shade
 from sira_assets.train.batches import Batch, SampleTensors
-from sira_assets.train.loop import LoopConfig, Trainee, digest, train
+from sira_assets.train.loop import LoopConfig, Trainee, digest, tensors_digest, train
 from sira_assets.train.parallel import Share
 from sira_assets.train.shape import ShapeCodes
 
 
 @dataclass(frozen=True)
 class AppearanceTrainConfig:
-    """Weights and schedule; `smooth_m` is eps, the reach of the albedo's smoothness, in network units."""
+    """Weights and schedule; `smooth_reach` is eps, the reach of the albedo's smoothness, in network units."""
 
     steps: int = 3000
     scenes_per_step: int = 16
@@ -127,6 +127,7 @@ def train_appearance(
     model = AppearanceFactorModel(model_config, feature_size=shape.config.feature_size).to(device)
     codes = new_appearance_codes(len(data), model_config, config.seed, device)
     shape.requires_grad_(False)
+    learnt_on = tensors_digest({**shape.state_dict(), "z_sdf": shape_codes.z_sdf})
     trainee = Trainee(model, {"z_a": codes.z_a, "z_s": codes.z_s, "z_l": codes.z_l}, config.rate, config.code_rate)
     names = ("embedding", "smooth", *(("supervision",) if config.supervision > 0 else ()))
     seconds = train(
@@ -135,7 +136,7 @@ def train_appearance(
         {"colour": 1.0} | {name: getattr(config, name) for name in names},
         Path(folder) / "appearance.safetensors",
         LoopConfig(config.steps, save_every, resume),
-        run_digest=digest("AF-SM", shape.config, model_config, config, len(data), scenes_digest),
+        run_digest=digest("AF-SM", learnt_on, shape.config, model_config, config, len(data), scenes_digest),
         share=share,
         report=report,
     )

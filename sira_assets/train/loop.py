@@ -66,6 +66,15 @@ def digest(*parts: object) -> str:
     return hashlib.sha256("\n".join(map(repr, parts)).encode()).hexdigest()[:16]
 
 
+def tensors_digest(tensors: Mapping[str, Tensor]) -> str:
+    """Sixteen hex digits that change with any bit of named tensors."""
+    summed = hashlib.sha256()
+    for name, value in tensors.items():
+        summed.update(f"{name} {value.dtype} {tuple(value.shape)} ".encode())
+        summed.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return summed.hexdigest()[:16]
+
+
 def learning_rate(step: int, steps: int) -> float:
     """Factor of the rate: 100 steps of warm-up, then a cosine to a fiftieth."""
     warm = min(1.0, (step + 1) / WARM_UP)
@@ -92,7 +101,7 @@ def train(
     terms : step -> loss terms of this process' share of the step
     weights : of the terms, by name
     run_digest : of all that decides the run; a checkpoint with another one is refused
-    after_backward : may change or drop gradients
+    after_backward : may change or drop the gradients of the whole step, the same in every process
     report : called every fifty steps with the terms (the first process only)
 
     Returns
@@ -118,8 +127,9 @@ def train(
         # A refusal must be every process' refusal: the averaged loss is finite only if each is.
         accepted = guard.backward(share.mean(total.detach()) * 0.0 + total)
         if accepted:
-            after_backward(step)
+            # Averaging gives every parameter a gradient, so what is held is held after it.
             share.average_gradients(trainee.parameters())
+            after_backward(step)
             accepted = guard.step()
         if not accepted:
             message = f"{path.stem}: step {step + 1} was not finite; went back to the last finite state"
