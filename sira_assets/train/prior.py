@@ -17,7 +17,7 @@ from sira_assets.train.appearance import AppearanceTrainConfig, train_appearance
 from sira_assets.train.batches import SampleTensors, open_stack, write_stack
 from sira_assets.train.loop import digest
 from sira_assets.train.parallel import Share, joined_share
-from sira_assets.train.scenes import SampleConfig, list_scenes, load_samples, scenes_digest
+from sira_assets.train.scenes import SampleConfig, load_samples, sample_files, scenes_digest
 from sira_assets.train.shape import ShapeTrainConfig, train_shape
 
 
@@ -133,18 +133,17 @@ def train_prior(
 def _samples(
     scenes: Sequence[Path], stacks: Path, config: PriorConfig, workers: int, progress, share: Share
 ) -> tuple[SampleTensors, str]:
-    """All scenes' samples, memory-mapped, and the digest that names them; drawn by the first process only."""
+    """All scenes' samples, memory-mapped, and the digest of the scenes; drawn by the first process only."""
     seed = config.shape.seed
-    scenes_are = scenes_digest(scenes)
-    stacked = stacks / f"samples-{digest(scenes_are, config.samples, seed)}"
+    names = [path.name for path in sample_files(scenes, config.samples, seed)]
+    stacked = stacks / f"samples-{digest(names)}"
     if share.leads:
-        names = list_scenes(scenes)
         task = progress.add_task("samples", total=len(names)) if progress is not None else None
         advance = (lambda: progress.advance(task)) if progress is not None else (lambda: None)
         stored = load_samples(scenes, config=config.samples, seed=seed, workers=workers, progress=advance)
         write_stack(stored, stacked)
     share.wait()
-    return open_stack(stacked), scenes_are
+    return open_stack(stacked), scenes_digest(scenes)
 
 
 def _bytes(data: SampleTensors) -> int:

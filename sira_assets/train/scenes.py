@@ -22,8 +22,10 @@ from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.signed_distance import signed_distance
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, transform_points
-from sira_assets.scene.image import read_image, read_mask
-from sira_assets.scene.read_scene import read_frames
+from sira_assets.scene.image import read_image
+from sira_assets.scene.landmarks import landmarks_from_json, read_json
+from sira_assets.scene.read_scene import read_frame, read_frames
+from sira_assets.scene.transforms_json import read_transforms
 
 # Anchors that every scan has: the canonical landmarks.
 LANDMARKS = len(CANONICAL_LANDMARKS_M)
@@ -84,20 +86,20 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
 
     Raises
     ------
-    InputError : the scene has no gt/mesh.ply, or no canonical frame.
+    InputError : the scene has no gt/mesh.ply, no canonical frame, no 3D landmarks, or a view without a mask.
     """
     import trimesh
 
     path = scene / "gt" / "mesh.ply"
-    description = json.loads((scene / "transforms.json").read_text())
-    if not path.exists() or "canonical_from_world" not in description:
+    description = read_transforms(scene / "transforms.json")
+    if not path.exists() or description.canonical_from_world is None:
         raise InputError(
             expected="a scan to train on: gt/mesh.ply and canonical_from_world",
             received=f"{scene} without them",
             remedy="use scenes written by tools/make_scenes.py",
         )
     rng = np.random.default_rng([seed, int.from_bytes(hashlib.sha256(scene.name.encode()).digest()[:4], "big")])
-    to_canonical = np.array(description["canonical_from_world"], np.float64)
+    to_canonical = description.canonical_from_world
     loaded = trimesh.load(path, process=False)
     mesh = TriangleMesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)).transformed(to_canonical)
     caster = Raycaster(mesh)
@@ -107,11 +109,11 @@ def sample_scene(scene: Path, config: SampleConfig, seed: int) -> SceneSamples:
     sigma = np.where(rng.random(config.near) < 0.6, *config.near_sigma_m)[:, None]
     volume = np.concatenate([near + sigma * rng.normal(size=near.shape), rng.uniform(*BOUNDS_M, (config.far, 3))])
     volume, volume_sdf = _distances(scene, mesh, caster, to_canonical, volume)
-    anchors = _anchors(json.loads((scene / "gt" / "landmarks.json").read_text()))
+    anchors = _anchors(scene / "gt" / "landmarks.json")
     unit = 1.0 / UNIT_M
     pixels = [
         _seen_pixels(frame, scene if i == 0 else None, to_canonical, mesh, caster, config.pixels_per_view, rng)
-        for i, frame in enumerate(read_frames(scene))
+        for i, frame in enumerate(description.frames)
     ]
     position, normal, view, rgb, diffuse, specular = (
         np.concatenate(c).astype(np.float32) for c in zip(*pixels, strict=True)
@@ -146,10 +148,18 @@ def _distances(scene, mesh, caster, to_canonical, points):
     return points[known], distance[known]
 
 
-def _anchors(landmarks: dict) -> np.ndarray:
+def _anchors(path: Path) -> np.ndarray:
     """The nine canonical landmarks, NaN where a scan lacks one, and the dense correspondences if it has any."""
-    nine = [landmarks["landmarks_m"].get(name, [np.nan] * 3) for name in CANONICAL_LANDMARKS_M]
-    return np.array([*nine, *landmarks.get("anchors_m", [])], np.float64)
+    data = read_json(path)
+    known = landmarks_from_json(data, str(path)).points_world
+    if not known:
+        raise InputError(
+            expected=f"3D landmarks in {path}",
+            received="none",
+            remedy='write {"landmarks_m": {"nose_tip": [x, y, z], ...}} with the nine canonical names',
+        )
+    nine = [known.get(name, [np.nan] * 3) for name in CANONICAL_LANDMARKS_M]
+    return np.array([*nine, *data.get("anchors_m", [])], np.float64)
 
 
 def _on_surface(mesh, count, rng):
@@ -175,7 +185,13 @@ def _unit(x):
 
 def _seen_pixels(frame, truth, to_canonical, mesh, caster, count, rng):
     """Surface points behind `count` random pixels of a view, with radiance and, where `truth` has maps, material."""
-    image, mask = read_image(frame.image_path).linear, read_mask(frame.mask_path)
+    image, mask = read_frame(frame)
+    if mask is None:
+        raise InputError(
+            expected=f"mask_path beside {frame.image_path} in its transforms.json",
+            received="none",
+            remedy="name a mask for every view, white on the head",
+        )
     rows, cols = np.nonzero(mask)
     keep = rng.permutation(len(rows))[:count]
     rows, cols = rows[keep], cols[keep]
@@ -192,7 +208,7 @@ def _seen_pixels(frame, truth, to_canonical, mesh, caster, count, rng):
         _mix(mesh.vertices, corners, barycentric),
         _unit(_mix(mesh.normals, corners, barycentric)),
         -directions[ok],
-        image[rows, cols],
+        image.linear[rows, cols],
         diffuse,
         specular,
     )
@@ -231,8 +247,7 @@ def load_samples(
     -------
     In the order of `list_scenes`.
     """
-    scenes = list_scenes(folders)
-    paths = [scene.parent / ".samples" / f"{scene.name}-{_sample_key(scene, config, seed)}.npz" for scene in scenes]
+    scenes, paths = list_scenes(folders), sample_files(folders, config, seed)
     missing = [(scene, path, config, seed) for scene, path in zip(scenes, paths, strict=True) if not path.exists()]
     for _ in range(len(scenes) - len(missing)):
         progress()
@@ -243,20 +258,39 @@ def load_samples(
     return StoredSamples(paths)
 
 
+def sample_files(folders: Sequence[Path], config: SampleConfig, seed: int) -> list[Path]:
+    """Where the samples of every scene below `folders` are kept; names change whenever what they are drawn from does.
+
+    Raises
+    ------
+    InputError : no scenes, or one that cannot be read.
+    """
+    scenes = list_scenes(folders)
+    return [scene.parent / ".samples" / f"{scene.name}-{_sample_key(scene, config, seed)}.npz" for scene in scenes]
+
+
 def scenes_digest(folders: Sequence[Path]) -> str:
-    """Changes with the names, cameras and poses of the scenes below `folders` and the sizes of their meshes."""
+    """Changes with the scenes below `folders`: names, cameras and poses, sizes of meshes, first pictures.
+
+    Raises
+    ------
+    InputError : no scenes, or one that cannot be read.
+    """
     summed = hashlib.sha256()
     for scene in list_scenes(folders):
-        mesh = scene / "gt" / "mesh.ply"
+        mesh, description = scene / "gt" / "mesh.ply", scene / "transforms.json"
         summed.update(f"{scene.name} {mesh.stat().st_size if mesh.exists() else 0}\n".encode())
-        summed.update((scene / "transforms.json").read_bytes())
+        summed.update(description.read_bytes())
+        summed.update(read_transforms(description, only_first=True).frames[0].image_path.read_bytes())
     return summed.hexdigest()
 
 
 def _sample_key(scene: Path, config: SampleConfig, seed: int) -> str:
-    """Changes with the configuration and whenever the scene is written anew."""
-    files = [scene / "transforms.json", scene / "gt" / "mesh.ply", scene / "gt" / "mesh_closed.ply"]
-    written = [(path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.exists()]
+    """Changes with the configuration and whenever a file is written anew that `sample_scene` reads."""
+    truth = ("mesh.ply", "mesh_closed.ply", "landmarks.json", "albedo.exr", "specular.exr")
+    files = [scene / "transforms.json", *(scene / "gt" / name for name in truth)]
+    files += [path for frame in read_frames(scene) for path in (frame.image_path, frame.mask_path) if path is not None]
+    written = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.exists()]
     return hashlib.sha256(json.dumps([SAMPLES_VERSION, asdict(config), seed, written]).encode()).hexdigest()[:12]
 
 
