@@ -37,7 +37,7 @@ def read_measured(folder: Path) -> MeasuredScene:
 
     portrait, truth, albedo = read_scene(folder), None, None
     if (folder / "gt" / "mesh.ply").is_file():
-        truth = read_truth(folder)
+        truth = read_truth(folder, assumed_unit=portrait.metres_per_unit)
         camera = camera_in_metres(portrait.camera, portrait.metres_per_unit)
         truth = replace(truth, mesh=outer_surface(truth.mesh), camera=camera)
     if (folder / "gt" / "albedo.exr").is_file():

@@ -153,11 +153,18 @@ def mean_angle_deg(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
 
 
 def _surfaces(model, frame: Frame, truth: Path, metres_per_unit, config) -> tuple[SurfaceReport, SurfaceReport]:
-    unit = metres_per_unit or 1.0
-    known = replace(read_truth(truth, metres_per_unit=metres_per_unit), camera=camera_in_metres(frame.camera, unit))
+    unit = metres_per_unit or _own_unit(model)
+    known = read_truth(truth, metres_per_unit=metres_per_unit, assumed_unit=unit)
+    known = replace(known, camera=camera_in_metres(frame.camera, unit))
     pred = TriangleMesh(model.vertices * unit, model.faces, model.normals)
     pred, known = without_inner(pred, known, config)
     return tuple(measure_prepared(pred, known, replace(config, align=kind)) for kind in ("none", "rigid"))
+
+
+def _own_unit(model: GlbModel) -> float:
+    """Metres per unit as the export says it, which knows what the scene's reader assumed; 1 where it does not."""
+    said = model.extras.get("metres_per_unit")
+    return float(said) if isinstance(said, int | float) and 0 < said < float("inf") else 1.0
 
 
 def _photo_and_mask(frame: Frame, scene: Path) -> tuple[np.ndarray | None, np.ndarray | None]:

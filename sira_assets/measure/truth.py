@@ -112,19 +112,26 @@ def read_landmarks(path: str | Path, *, metres_per_unit: float = 1.0, of: str = 
     return {name: point * metres_per_unit for name, point in points.items()}
 
 
-def read_truth(path: str | Path, *, metres_per_unit: float | None = None, landmarks: str | Path | None = None) -> Truth:
+def read_truth(
+    path: str | Path,
+    *,
+    metres_per_unit: float | None = None,
+    assumed_unit: float = 1.0,
+    landmarks: str | Path | None = None,
+) -> Truth:
     """Read the truth from a scene folder, a head folder or a mesh file.
 
     Parameters
     ----------
-    metres_per_unit : overrides what a scene's transforms.json says (default there: 1)
+    metres_per_unit : overrides what a scene's transforms.json says
+    assumed_unit : metres per unit where neither says it: what a portrait's reader found, or an export's extras say
     landmarks : a file to use in place of the `landmarks.json` beside the mesh
     """
     path = Path(path)
     file = mesh_file(path)
     described = path.is_dir() and (path / "transforms.json").is_file()
     scene = read_transforms(path / "transforms.json", only_first=True) if described else None
-    unit = metres_per_unit or (scene.metres_per_unit if scene is not None else None) or 1.0
+    unit = metres_per_unit or (scene.metres_per_unit if scene is not None else None) or assumed_unit
     source = Path(landmarks) if landmarks is not None else landmarks_beside(path)
     points = read_landmarks(source, metres_per_unit=unit) if source else {}
     if landmarks is not None and not points:

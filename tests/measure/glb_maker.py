@@ -11,8 +11,10 @@ from PIL import Image
 from sira_assets.mesh.triangle_mesh import TriangleMesh
 
 
-def write_test_glb(path: Path, mesh: TriangleMesh, uv: np.ndarray, texture: np.ndarray, *, ks: float = 1.0) -> None:
-    """Write `mesh` with uv (V, 2), origin bottom-left, an 8-bit texture (H, W, 3), and constant `ks`."""
+def write_test_glb(
+    path: Path, mesh: TriangleMesh, uv: np.ndarray, texture: np.ndarray, *, ks: float = 1.0, **extras
+) -> None:
+    """Write `mesh` with uv (V, 2), origin bottom-left, an 8-bit texture (H, W, 3), constant `ks`, and the extras."""
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=Image.fromarray(texture), metallicFactor=0.0, roughnessFactor=0.5
     )
@@ -22,6 +24,7 @@ def write_test_glb(path: Path, mesh: TriangleMesh, uv: np.ndarray, texture: np.n
     length = struct.unpack_from("<I", raw, 12)[0]
     gltf = json.loads(raw[20 : 20 + length])
     gltf["materials"][0]["extensions"] = {"KHR_materials_specular": {"specularColorFactor": [ks] * 3}}
+    gltf["scenes"][0]["extras"] = extras
     gltf["extensionsUsed"] = ["KHR_materials_specular"]
     text = json.dumps(gltf).encode()
     text += b" " * (-len(text) % 4)

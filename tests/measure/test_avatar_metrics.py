@@ -4,17 +4,23 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from glb_maker import write_test_glb
 
 from sira_assets.measure.avatar_metrics import mean_angle_deg, measure_avatar
 from sira_assets.measure.present import avatar_json
 from sira_assets.measure.protocols import PRED_TO_GT, ProtocolConfig
 from sira_assets.measure.truth import read_mesh, read_truth
+from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.numerics.colour import srgb_from_linear
 from sira_assets.scene.image import read_image
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "scene"))
+from scene_on_disk import SceneOnDisk
 
 
 def make_avatar(folder, scene, mesh, camera) -> None:
@@ -36,6 +42,37 @@ def test_small_angles_are_exact():
     turned = n + 1e-6 * np.cross(n, [0.3, 0.5, 0.7])
     exact = np.degrees(1e-6 * np.linalg.norm(np.cross(n, [0.3, 0.5, 0.7]), axis=-1)).mean()
     assert mean_angle_deg(n, turned, mask) == pytest.approx(exact, rel=1e-4)
+
+
+def test_millimetres_are_the_export_s_where_the_scene_does_not_say_its_unit(tmp_path):
+    """A world of centimetres; the avatar is the true head, a millimetre thicker."""
+    from shapes import bumpy
+
+    folder = tmp_path / "scene"
+    (folder / "gt").mkdir(parents=True)
+    scene = SceneOnDisk(folder)
+    to_cm = np.diag([100.0, 100.0, 100.0, 1.0])
+    pose = np.array(scene.frame["transform_matrix"])
+    pose[:3, 3] *= 100.0
+    scene.frame["transform_matrix"] = pose.tolist()
+    scene.data["canonical_from_world"] = np.linalg.inv(to_cm).tolist()
+    scene.save()
+    mesh = bumpy(4).transformed(to_cm)
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "gt" / "mesh.ply")
+    thicker = TriangleMesh(mesh.vertices + 0.1 * mesh.normals, mesh.faces)
+    uv, grey = np.zeros((len(mesh.vertices), 2)), np.full((4, 4, 3), 128, np.uint8)
+    config = ProtocolConfig(samples=2000)
+    for extras in ({"metres_per_unit": 0.01}, {}):
+        write_test_glb(tmp_path / "avatar" / "avatar.glb", thicker, uv, grey, **extras)
+        report = measure_avatar(tmp_path / "avatar", folder, config=config)
+        # Triangles lie a hundredth of a millimetre inside the smooth surface.
+        expected = 1.0 if extras else 100.0
+        assert report.placed.distances("all").mean_mm == pytest.approx(expected, rel=0.03)
+    # What the scene says counts before what the export says.
+    scene.data["metres_per_unit"] = 0.02
+    scene.save()
+    report = measure_avatar(tmp_path / "avatar", folder, config=config)
+    assert report.placed.distances("all").mean_mm == pytest.approx(2.0, rel=0.03)
 
 
 @pytest.mark.slow
