@@ -59,7 +59,8 @@ def read_measured_scene(folder: Path, truth: Path) -> Scene:
     from sira_assets.measure.truth import camera_in_metres, read_truth
     from sira_assets.scene.read_scene import read_scene
 
-    portrait, known = read_scene(folder), read_truth(truth)
+    portrait = read_scene(folder)
+    known = read_truth(truth, assumed_unit=portrait.metres_per_unit)
     camera = camera_in_metres(portrait.camera, portrait.metres_per_unit)
     known = replace(known, mesh=outer_surface(known.mesh), camera=camera)
     return Scene(portrait.name, folder, portrait, known)
@@ -171,19 +172,20 @@ class Results:
     def __init__(self, folder: Path, facts: Mapping[str, object]):
         self.folder, self.facts = Path(folder), json.loads(json.dumps(facts))
 
-    def of(self, case: str, compute: Callable[[], Mapping[str, object]]) -> dict[str, object]:
-        """The case's figures, computed now unless they are there."""
+    def of(self, case: str, compute: Callable[[], Mapping[str, object]], **facts) -> dict[str, object]:
+        """The case's figures as its file holds them, computed now unless they are there; `facts` are its own."""
         from sira_assets.atomic import write_text
 
-        path = self.folder / f"{case}.json"
+        path, facts = self.folder / f"{case}.json", self.facts | facts
         try:
             kept = json.loads(path.read_text())
         except (OSError, ValueError):
             kept = {}
-        if kept.get("facts") != self.facts:
+        if kept.get("facts") != facts:
             self.folder.mkdir(parents=True, exist_ok=True)
-            kept = {"facts": self.facts, "figures": rounded(compute())}
-            write_text(path, json.dumps(kept, indent=1) + "\n")
+            text = json.dumps({"facts": facts, "figures": rounded(compute())}, indent=1)
+            write_text(path, text + "\n")
+            kept = json.loads(text)
         return kept["figures"]
 
 
@@ -193,15 +195,44 @@ def rounded(figures: Mapping[str, object]) -> dict[str, object]:
     return {k: round(v, 5) if isinstance(v, float) else v for k, v in plain.items()}
 
 
-def prior_facts(path: Path | None) -> str:
-    """A short digest of a prior's file (the shipped one's if None)."""
+def case_names(folders: Sequence[Path]) -> list[str]:
+    """Each folder's name, told apart by where it lies if another has it too."""
+    places = [folder.resolve() for folder in folders]
+    names = [place.name for place in set(places)]
+    told_apart = {place: f"-{short_digest(bytes(place))}" for place in places if names.count(place.name) > 1}
+    return [place.name + told_apart.get(place, "") for place in places]
+
+
+def scene_facts(folder: Path, truth: Path) -> str:
+    """A short digest of a scene's description and its portrait's pixels, and of where its truth lies if elsewhere.
+
+    Raises
+    ------
+    InputError : it cannot be read.
+    """
+    from sira_assets.scene.read_scene import read_frames
+
+    frame = read_frames(folder)[0]
+    described = [folder / name for name in ("transforms.json", "cameras.npz", "landmarks.json")]
+    files = [path for path in (*described, frame.image_path, frame.mask_path) if path is not None and path.is_file()]
+    elsewhere = b"" if truth == folder else bytes(truth.resolve())
+    return short_digest(*(path.read_bytes() for path in files), elsewhere)
+
+
+def short_digest(*parts: bytes) -> str:
+    """Sixteen hex digits that change with any of the parts."""
     import hashlib
 
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:16]
+
+
+def prior_facts(path: Path | None) -> str:
+    """A short digest of a prior's file (the shipped one's if None)."""
     from sira_assets.fields import prior
 
     file = Path(prior.__file__).parent / "weights" / "prior.safetensors" if path is None else Path(path)
     try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+        return short_digest(file.read_bytes())
     except OSError:
         return "none"  # reading it says so, with the remedy
 

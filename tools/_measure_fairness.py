@@ -35,7 +35,7 @@ def write_tones(out: Path, indices: range, *, size: int, samples: int, seed: int
     found = []
     for index in indices:
         for tone, share in TONES.items():
-            folder = out / f"head_{index:03d}_{tone}"
+            folder = out / f"head_{index:03d}_{tone}_{size}px_{samples}_seed{seed}"
             if not folder.is_dir():
                 skin = SkinTone(melanin_of(share), metered=melanin_of(TONES["middle"]))
                 write_scene(draw_scene(settings, index, tone=skin), folder)

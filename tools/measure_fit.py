@@ -99,7 +99,7 @@ def fairness(a: argparse.Namespace):
     say(a, f"scenes of {a.heads} heads in three tones")
     drawn = write_tones(a.out / "tones", range(a.heads), **options)
     a.scenes = [str(folder) for _, _, folder in drawn]
-    rows = each_scene(a, measure_tone)
+    rows = each_scene(a, measure_tone, drawn=options)
     return [{"head": h, "tone": t} | row for (h, t, _), row in zip(drawn, rows, strict=True)], print_fairness
 
 
@@ -126,11 +126,12 @@ def extremes(a: argparse.Namespace):
 
 def each_case(a: argparse.Namespace, cases) -> list[dict]:
     """The whole journey on every case of one scene."""
-    from _fit_measurement import read_measured_scene, scene_and_truth
+    from _fit_measurement import read_measured_scene, scene_and_truth, scene_facts
     from _measure_stability import measure_case
 
-    scene = read_measured_scene(*scene_and_truth(a.scenes[0]))
-    results, settings, prior = kept(a, scene=scene.name)
+    pair = scene_and_truth(a.scenes[0])
+    scene = read_measured_scene(*pair)
+    results, settings, prior = kept(a, scene=scene_facts(*pair))
     rows = []
     for case in cases:
         say(a, case.name)
@@ -142,15 +143,19 @@ def each_case(a: argparse.Namespace, cases) -> list[dict]:
 
 def each_scene(a: argparse.Namespace, figures, **facts) -> list[dict]:
     """`figures(scene, prior, settings)` of every scene of the command line."""
-    from _fit_measurement import read_measured_scene, scene_and_truth
+    from _fit_measurement import case_names, read_measured_scene, scene_and_truth, scene_facts
 
     pairs = [pair for argument in a.scenes for pair in expanded(*scene_and_truth(argument))]
     results, settings, prior = kept(a, **facts)
     rows = []
-    for folder, truth in pairs:
-        say(a, folder.name)
-        row = results.of(folder.name, lambda f=folder, t=truth: figures(read_measured_scene(f, t), prior(), settings))
-        rows.append({"scene": folder.name} | row)
+    for name, (folder, truth) in zip(case_names([folder for folder, _ in pairs]), pairs, strict=True):
+        say(a, name)
+        found = results.of(
+            name,
+            lambda f=folder, t=truth: figures(read_measured_scene(f, t), prior(), settings),
+            scene=scene_facts(folder, truth),
+        )
+        rows.append({"scene": name} | found)
     return rows
 
 

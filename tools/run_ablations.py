@@ -58,9 +58,9 @@ def ablate(a: argparse.Namespace) -> int:
     priors = {name: trained(a, name) for name in sorted(shapes)}
     if a.priors_only:
         return 0
-    figures = []
-    for argument in a.scenes:
-        figures += score_scene(a, rows, priors, *measurement.scene_and_truth(argument))
+    figures, pairs = [], [measurement.scene_and_truth(argument) for argument in a.scenes]
+    for name, pair in zip(measurement.case_names([folder for folder, _ in pairs]), pairs, strict=True):
+        figures += score_scene(a, rows, priors, name, *pair)
     if a.table:
         measurement.write_rows(a.table, figures)
     if a.json:
@@ -73,17 +73,17 @@ def ablate(a: argparse.Namespace) -> int:
 
 
 def trained(a: argparse.Namespace, name: str) -> Path:
-    """The prior of that name, trained if it is not there, gone on with if it was begun."""
+    """The prior of that name, these settings and these scenes, trained if it is not there, gone on with if begun."""
     import time
     from dataclasses import replace
 
     from _ablations import shape_models
 
+    from sira_assets.train.loop import digest
     from sira_assets.train.prior import PriorConfig, train_prior
+    from sira_assets.train.scenes import scenes_digest
 
-    base, path = PriorConfig(), a.out / "priors" / f"{name}-{a.steps}-{a.seed}.safetensors"
-    if path.is_file():
-        return path
+    base = PriorConfig()
     # A shape that is fitted without appearance needs no AF-SM: its first weights go into the file.
     appearance_steps = a.appearance_steps if name == "full" else 0
     # The share of its steps in which the reference learns alone stays what it is in the full training.
@@ -94,18 +94,23 @@ def trained(a: argparse.Namespace, name: str) -> Path:
         shape=replace(base.shape, steps=a.steps, reference_steps=alone, seed=a.seed),
         appearance=replace(base.appearance, steps=appearance_steps, seed=a.seed),
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
+    folder, key = a.out / "priors", f"{name}-{digest(config, scenes_digest([a.train]))}"
+    path = folder / f"{key}.safetensors"
+    if path.is_file():
+        return path
+    folder.mkdir(parents=True, exist_ok=True)
     say(a, f"training the prior '{name}': {a.steps} steps")
     started = time.process_time()
-    folder = a.out / "priors"
     shared = {"stacks": a.samples or folder, "workers": a.workers}
-    train_prior([a.train], path, folder / f"{name}-run", config=config, resume=True, **shared)
+    train_prior([a.train], path, folder / f"{key}-run", config=config, resume=True, **shared)
     say(a, f"  {time.process_time() - started:.0f} s of processor time in this session")
     return path
 
 
-def score_scene(a: argparse.Namespace, rows, priors: dict[str, Path], folder: Path, truth: Path) -> list[dict]:
-    """Every row's figures of one scene; fits are made once and shared by rows that begin alike."""
+def score_scene(
+    a: argparse.Namespace, rows, priors: dict[str, Path], name: str, folder: Path, truth: Path
+) -> list[dict]:
+    """Every row's figures of one scene, kept under `name`; fits are made once and shared by rows that begin alike."""
     from functools import cache
 
     import _fit_measurement as measurement
@@ -142,10 +147,10 @@ def score_scene(a: argparse.Namespace, rows, priors: dict[str, Path], folder: Pa
     out = []
     for row in rows:
         facts = {"settings": repr(row.settings(a.seed)), "prior": measurement.prior_facts(priors[row.prior])}
-        facts |= {"scene": str(folder), "samples": measurement.SAMPLES}
-        say(a, f"{folder.name} {row.name}")
-        kept = measurement.Results(a.out / "figures" / folder.name, facts).of(row.name, lambda row=row: figures(row))
-        out.append({"scene": folder.name, "row": row.name} | kept)
+        facts |= {"scene": measurement.scene_facts(folder, truth), "samples": measurement.SAMPLES}
+        say(a, f"{name} {row.name}")
+        kept = measurement.Results(a.out / "figures" / name, facts).of(row.name, lambda row=row: figures(row))
+        out.append({"scene": name, "row": row.name} | kept)
     return out
 
 

@@ -1,7 +1,9 @@
 """The tools that measure fits: known answers of what they add up, and each of them once in small."""
 
 import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +11,11 @@ import pytest
 from small_fits import TOOLS, make_scenes, tiny_settings
 
 from sira_assets.scene.camera import Camera
+from sira_assets.scene.image import write_png
 from sira_assets.scene.sg_light import SGLight
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "scene"))
+from scene_on_disk import SceneOnDisk
 
 
 @pytest.fixture(autouse=True)
@@ -110,14 +116,90 @@ def test_results_count_only_under_the_same_facts(tmp_path):
         asked.append(1)
         return {"x": np.float64(1.23456789), "said": ("a",)}
 
-    for _ in range(2):
-        assert Results(tmp_path, {"seed": 0}).of("case", compute) == {"x": 1.23457, "said": ["a"]} or len(asked) == 1
+    for _ in range(2):  # computed, then found
+        assert Results(tmp_path, {"seed": 0}).of("case", compute) == {"x": 1.23457, "said": ["a"]}
     assert len(asked) == 1
     Results(tmp_path, {"seed": 1}).of("case", compute)
     assert len(asked) == 2
-    (tmp_path / "case.json").write_text("{")
-    Results(tmp_path, {"seed": 1}).of("case", compute)
+    Results(tmp_path, {"seed": 1}).of("case", compute, scene="other")
     assert len(asked) == 3
+    (tmp_path / "case.json").write_text("{")
+    Results(tmp_path, {"seed": 1}).of("case", compute, scene="other")
+    assert len(asked) == 4
+
+
+def test_figures_are_a_scene_s_own_whatever_its_name(tool, tmp_path, monkeypatch):
+    """Another set under the same names is measured anew; two scenes of one name are kept side by side."""
+    import _measure_heldout
+
+    asked = []
+    monkeypatch.setattr(_measure_heldout, "print_heldout", lambda rows: None)
+    monkeypatch.setattr(_measure_heldout, "measure_heldout", lambda scene, *_: asked.append(scene.folder) or {})
+    monkeypatch.setattr("_fit_measurement.read_measured_scene", lambda f, t: SimpleNamespace(folder=f, truth=t))
+    monkeypatch.setattr("sira_assets.fields.prior.load_prior", lambda path: None)
+    made = []
+    for place in ("one", "other", "again"):
+        folder = tmp_path / place / "head"
+        folder.mkdir(parents=True)
+        made.append(SceneOnDisk(folder))
+    write_png(made[1].folder / "image.png", made[1].pixels[::-1])
+    one, other, again = (str(scene.folder) for scene in made)
+
+    def measured(*scenes):
+        asked.clear()
+        assert tool.main(["heldout", *scenes, "--out", str(tmp_path / "out"), "--quiet"]) == 0
+        return [str(folder) for folder in asked]
+
+    assert measured(one) == [one]
+    assert measured(one) == []
+    assert measured(again) == []  # the same scene elsewhere
+    assert measured(other) == [other]
+    assert measured(f"{other}={one}") == [other]
+    assert measured(one, other) == [one, other]
+    assert measured(one, other) == []
+    made[1].data["fl_x"] *= 1.1
+    made[1].save()
+    assert measured(one, other) == [other]
+
+
+def test_tones_of_other_options_are_other_scenes(tmp_path, monkeypatch):
+    from _measure_fairness import write_tones
+
+    import data_synth.draw_scene
+    import data_synth.write_scene
+
+    drawn = []
+    monkeypatch.setattr(data_synth.draw_scene, "draw_scene", lambda settings, index, tone: settings)
+    monkeypatch.setattr(
+        data_synth.write_scene, "write_scene", lambda settings, folder: drawn.append(settings) or folder.mkdir()
+    )
+    options = {"size": 64, "samples": 4, "seed": 0}
+    for changed in ({}, {"size": 32}, {"samples": 8}, {"seed": 1}):
+        for new in (3, 0):
+            drawn.clear()
+            write_tones(tmp_path, range(1), **options | changed)
+            assert len(drawn) == new
+
+
+def test_truth_is_in_metres_whatever_the_world_s_unit(tmp_path):
+    """A world of centimetres that does not say so: the portrait's reader finds it, and the truth goes by that."""
+    import trimesh
+    from _fit_measurement import read_measured_scene
+    from _tradeoff_measures import read_measured
+
+    scene = SceneOnDisk(tmp_path)
+    pose = np.array(scene.frame["transform_matrix"])
+    pose[:3, 3] *= 100.0
+    scene.frame["transform_matrix"] = pose.tolist()
+    scene.data["canonical_from_world"] = np.diag([0.01, 0.01, 0.01, 1.0]).tolist()
+    scene.save()
+    (tmp_path / "gt").mkdir()
+    trimesh.creation.icosphere(2, radius=12.0).export(tmp_path / "gt" / "mesh.ply")
+    for read in (lambda: read_measured_scene(tmp_path, tmp_path), lambda: read_measured(tmp_path)):
+        truth = read().truth
+        np.testing.assert_allclose(np.ptp(truth.mesh.vertices, axis=0), 0.24, rtol=1e-6)
+        np.testing.assert_allclose(truth.canonical_from_world, np.eye(4), atol=1e-12)
+        np.testing.assert_allclose(truth.camera.world_from_camera, scene.camera.world_from_camera, atol=1e-12)
 
 
 def test_every_case_spoils_what_it_names(scene):

@@ -1,11 +1,17 @@
 """The paper's ablations from scenes to its table, in small: what each setting is, and that a stopped run goes on."""
 
 import json
+import sys
+from pathlib import Path
 
 import pytest
 from small_fits import TOOLS, make_scenes, tiny_settings
 
 from sira_assets.fields.sa_sm import ShapeConfig
+from sira_assets.scene.image import write_png
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "scene"))
+from scene_on_disk import SceneOnDisk
 
 
 @pytest.fixture
@@ -52,6 +58,32 @@ def test_each_row_changes_what_it_says_and_keeps_the_steps(monkeypatch):
     assert [name for name, s in rows.items() if not s.appearance.scheduled] == ["b.1"]
     assert [name for name, s in rows.items() if s.appearance.steps_refinement == 0] == ["b.2"]
     assert rows["a.4"] == rows["b.3"] == rows["a.2"]
+
+
+def test_a_prior_is_found_again_for_the_same_settings_and_scenes_only(tool, tmp_path, monkeypatch):
+    from sira_assets.train import prior
+
+    trained = []
+
+    def train_prior(scenes, path, run, **options):
+        trained.append(run)
+        path.touch()
+
+    monkeypatch.setattr(prior, "train_prior", train_prior)
+    for name in ("one", "other"):
+        (tmp_path / name / "head").mkdir(parents=True)
+        scene = SceneOnDisk(tmp_path / name / "head")
+    write_png(scene.folder / "image.png", scene.pixels[::-1])
+
+    def asked(*options, train="one"):
+        folders = ["--train", str(tmp_path / train), "--out", str(tmp_path / "out")]
+        assert tool.main(["SCENE", *folders, "--priors-only", "--only", "b.1", "--quiet", *options]) == 0
+        return len(trained)
+
+    assert [asked(), asked()] == [1, 1]
+    assert [asked("--steps", "7"), asked("--steps", "7")] == [2, 2]
+    assert [asked("--appearance-steps", "7"), asked("--seed", "7"), asked(train="other"), asked()] == [3, 4, 5, 5]
+    assert len(set(trained)) == 5
 
 
 def test_no_scenes_to_train_on_is_bad_input(tool, tmp_path, capsys):
