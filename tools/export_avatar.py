@@ -113,6 +113,7 @@ def duration(text: str) -> float:
 def body(args: argparse.Namespace) -> int:
     """Read, fit, export."""
     began = time.monotonic()
+    import contextlib
     import json
     import shutil
     from dataclasses import replace
@@ -162,7 +163,7 @@ def body(args: argparse.Namespace) -> int:
 
         plan, timetable, keeping = asked_plan(args, settings, prior, began, device=device)
         settings = plan.settings
-        if not args.quiet or args.dry_run:
+        if args.dry_run or not (args.quiet or args.json):
             print_plan(plan, as_json=args.json and args.dry_run)
         if args.dry_run:
             return 0
@@ -188,6 +189,10 @@ def body(args: argparse.Namespace) -> int:
             if kept:
                 print(f"stopped; the same command with --resume goes on ({work})", file=sys.stderr)
             raise
+        finally:
+            # A portrait that the fit refuses leaves nothing to go on with.
+            with contextlib.suppress(OSError):
+                work.rmdir()
     decisions = ()
     if plan is not None:
         from sira_assets.plan.present import plan_decisions
@@ -218,6 +223,8 @@ def main(argv: list[str] | None = None) -> int:
         p.error("--tolerance must be 0.05 to 5")
     if not 0 <= args.levels_of_detail <= 4:
         p.error("--levels-of-detail must be 0 to 4")
+    if args.seed < 0:
+        p.error("--seed must be at least 0")
     if args.budget and args.resume:
         p.error("--resume: steps within a --budget depend on the clock, so such a run cannot be gone on with")
     for given in ("texture_size", "max_triangles", "tolerance_mm"):

@@ -85,6 +85,9 @@ def main(argv: list[str] | None = None) -> int:
     args = p.parse_args(argv)
     if not args.scenes and not args.scans:
         p.error("give --scenes, --scans, or both")
+    counts = (args.workers, args.steps, args.appearance_steps)
+    if args.seed < 0 or any(count is not None and count < 1 for count in counts):
+        p.error("--steps, --appearance-steps and --workers must be at least 1, --seed at least 0")
     return _cli.run(lambda: body(args))
 
 

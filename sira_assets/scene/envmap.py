@@ -119,9 +119,15 @@ def read_envmap(path: str | Path) -> EnvironmentMap:
 
     Raises
     ------
-    InputError : another kind of file, damaged, too large, not twice as wide as high, or not finite.
+    InputError : no file, another kind of file, damaged, too large, not twice as wide as high, or not finite.
     """
     path = Path(path)
+    if not path.is_file():
+        raise InputError(
+            expected=f"a panorama at {path}",
+            received="a folder" if path.is_dir() else "no such file",
+            remedy="give an OpenEXR or Radiance (.hdr) file",
+        )
     with open(path, "rb") as file:
         head = file.read(4)
     if head[:2] == b"#?":

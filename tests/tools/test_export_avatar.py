@@ -76,6 +76,7 @@ def test_bad_input_is_one_line_exit_3_and_nothing_written(tmp_path, spoil):
 def test_wrong_usage_is_exit_2():
     assert export("--quality", "perfect").returncode == 2
     assert export("--texture-size", "1").returncode == 2
+    assert export("--seed", "-1").returncode == 2
 
 
 def test_budgets_that_make_no_sense_are_wrong_usage():
@@ -114,6 +115,26 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path, curves):
     assert plan["peak_memory"] >= max(s.memory_bytes for s in figures().reference)
     assert set(plan["knobs"]) == {"geometry steps", "appearance steps", "texture size"}
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_the_fit_refuses_leaves_nothing_and_json_alone_goes_to_stdout(tmp_path, curves, capsys, monkeypatch):
+    from sira_assets.errors import InputError
+
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    import export_avatar
+
+    def refuse(*arguments, **options):
+        raise InputError(expected="light", received="none", remedy="expose")
+
+    monkeypatch.setattr("sira_assets.pipeline.run", refuse)
+    out = str(tmp_path / "out")
+    plans = ["--budget", "3h", "--figures", str(curves)]
+    for words, planned in (([], False), (plans, True), ([*plans, "--json"], False)):
+        assert export_avatar.main([*words, "--out", out]) == 3
+        said = capsys.readouterr()
+        assert ("geometry" in said.out) == planned
+        assert planned or said.out == ""
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_somebodys_folder_is_not_written_over(tmp_path):

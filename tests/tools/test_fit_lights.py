@@ -70,3 +70,10 @@ def test_out_of_reach_is_status_4_and_bad_input_3(tool, panorama, tmp_path, caps
         arguments = [str(tmp_path / a) if "." in a and a[0] != "-" and not a[0].isdigit() else a for a in wrong]
         assert tool.main([*arguments, *out]) == 3
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_folder_is_one_line(tool, tmp_path, capsys):
+    assert tool.main([str(tmp_path), "--out", str(tmp_path / "lights.json")]) == 3
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "a folder" in said

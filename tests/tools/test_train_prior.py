@@ -21,6 +21,17 @@ def test_asks_for_scenes(tmp_path):
     assert "--scenes, --scans, or both" in done.stderr
 
 
+@pytest.mark.parametrize("number", ["--seed=-1", "--workers=0", "--steps=0", "--appearance-steps=-3"])
+def test_numbers_that_make_no_training_are_wrong_usage(tmp_path, number, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import train_prior
+
+    with pytest.raises(SystemExit) as ended:
+        train_prior.main(["--scenes", str(tmp_path), "--out", str(tmp_path / "p.safetensors"), number])
+    assert ended.value.code == 2
+    assert number.split("=")[0] in capsys.readouterr().err
+
+
 def test_a_folder_without_scenes_is_bad_input(tmp_path):
     done = tool("train_prior", "--scenes", tmp_path, "--out", tmp_path / "p.safetensors", "--run", tmp_path / "run")
     assert done.returncode == 3
