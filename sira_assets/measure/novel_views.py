@@ -5,7 +5,6 @@ Notation: a scene holds other views in `novel/`: a scene folder of its own (tran
 `gt/lights.json` or `gt/envmap.exr`. E(n) is the irradiance of a surface of normal n that nothing shades.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from sira_assets.relight.turntable import QUALITIES, Quality, Turn, render_turn
 from sira_assets.scene.envmap import EnvironmentMap, envmap_from_sg, read_envmap
 from sira_assets.scene.exr import read_exr
 from sira_assets.scene.image import read_image, read_mask
+from sira_assets.scene.landmarks import read_json
 from sira_assets.scene.read_scene import read_frames
 from sira_assets.scene.sg_light import SGLight
 from sira_assets.scene.transforms_json import read_camera
@@ -131,15 +131,17 @@ def _error(found: np.ndarray, truth: np.ndarray, gain: float | None = None) -> t
 
 
 def _true_light(folder: Path) -> EnvironmentMap:
-    if (folder / "lights.json").is_file():
-        described = json.loads((folder / "lights.json").read_text())
-        if described.get("type") == "spherical_gaussians":
-            return envmap_from_sg(SGLight.from_dict(described), ENVMAP_ROWS)
-    if (folder / "envmap.exr").is_file():
-        return read_envmap(folder / "envmap.exr")
-    raise InputError(
-        expected=f"lights.json or envmap.exr in {folder}", received="neither", remedy="give a scene with its light"
-    )
+    """Lobes that say they are the light; else the panorama, which they may only stand for; else the lobes there are."""
+    lights, panorama = folder / "lights.json", folder / "envmap.exr"
+    described = read_json(lights) if lights.is_file() else None
+    exact = isinstance(described, dict) and described.get("type") == "spherical_gaussians"
+    if panorama.is_file() and not exact:
+        return read_envmap(panorama)
+    if described is None:
+        raise InputError(
+            expected=f"lights.json or envmap.exr in {folder}", received="neither", remedy="give a scene with its light"
+        )
+    return envmap_from_sg(SGLight.from_dict(described), ENVMAP_ROWS)
 
 
 def _normals() -> np.ndarray:

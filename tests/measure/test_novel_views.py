@@ -15,6 +15,7 @@ from sira_assets.measure.novel_views import measure_light, measure_novel
 from sira_assets.relight.cameras import rotation_about
 from sira_assets.relight.turntable import Quality, Turn, render_turn
 from sira_assets.scene.camera import OPENCV_FROM_OPENGL, Camera
+from sira_assets.scene.envmap import envmap_from_sg, write_envmap
 from sira_assets.scene.image import write_exr, write_png
 from sira_assets.scene.sg_light import SGLight
 
@@ -87,6 +88,18 @@ def test_light_is_compared_as_irradiance(tmp_path):
     assert other.error > 0.3
     # what shines from behind is not seen by normals that face the camera, but for a pixel of the 64 rows
     assert other.facing_after_gain < 1e-2
+
+
+def test_lobes_count_in_every_documented_form_unless_a_panorama_is_exact(tmp_path):
+    light = SGLight([[0, 0, 1], [1, 0, 0]], [20.0, 4.0], [[3, 2, 1], [0.5, 0.5, 1.0]])
+    scene(tmp_path, light, turns=())
+    for form in (light.to_dict(), light.to_dict()["sgs"]):
+        (tmp_path / "gt" / "lights.json").write_text(json.dumps(form))
+        assert measure_light(light, tmp_path).error == pytest.approx(0.0, abs=1e-6)
+    write_envmap(tmp_path / "gt" / "envmap.exr", envmap_from_sg(light.scaled(2.0), 64))
+    assert measure_light(light, tmp_path).error == pytest.approx(0.5, rel=1e-5)
+    (tmp_path / "gt" / "lights.json").write_text(json.dumps({"type": "spherical_gaussians"} | light.to_dict()))
+    assert measure_light(light, tmp_path).error == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_scene_without_other_views_or_light_is_refused(tmp_path):
