@@ -21,7 +21,7 @@ from sira_assets.fit.light import FreeLight
 from sira_assets.fit.seen_surface import SurfacePoints
 from sira_assets.fit.shadows import FitShadows, ShadowConfig
 from sira_assets.numerics.sg import Grade
-from sira_assets.numerics.srgb import srgb_decode, srgb_encode
+from sira_assets.numerics.srgb import srgb_decode, srgb_encode_beyond
 from sira_assets.render.shading import ROUGHNESS, Shading, shade
 from sira_assets.render.visibility_table import VisibilityTable
 
@@ -86,8 +86,6 @@ class AppearanceFitConfig:
     seed: int = 0
 
 
-# d srgb_encode(x) / dx at x = 1: brighter than white, encoded values go on along this line, so that a gradient remains.
-SLOPE_AT_WHITE = 1.055 / 2.4
 # Steps in which the roughness is sought, where skin has been measured (Weyrich et al. 2006), and at how many points.
 ROUGHNESS_STEP = 0.02
 ROUGHNESS_RANGE = (0.3, 0.7)
@@ -363,8 +361,7 @@ def on_face(x: Tensor) -> Tensor:
 def colour_error(radiance: Tensor, points: SurfacePoints, *, squared: float = 0.0) -> Tensor:
     """Mean error, and the mean of its square times `squared`, sRGB-encoded; a channel that the photo clipped says only:
     as bright as that, or brighter."""
-    encoded = torch.where(radiance > 1.0, 1.0 + SLOPE_AT_WHITE * (radiance - 1.0), srgb_encode(radiance))
-    error = encoded - points.rays.rgb
+    error = srgb_encode_beyond(radiance) - points.rays.rgb
     clipped = ~points.rays.usable[:, None] & (points.rays.rgb >= CLIPPED)
     error = torch.where(clipped, error.clamp_max(0.0), error)
     return error.abs().mean() + squared * error.square().mean() if squared else error.abs().mean()

@@ -1,5 +1,7 @@
 """Single-view geometry (SIRA section 3.3, first step): A finds the codes, B frees the networks, C covers the mask.
 
+Before A the shading says which shapes are likely (fit/shading.py), in place of the prior alone.
+
 Notation: as in fields/sa_sm.py and render/tracing.py; c coefficients of the codes' gaussians (sigma units), so |c|^2 is
 the prior's energy. The reference signed distance is never changed: it is what all heads share.
 """
@@ -20,6 +22,7 @@ from sira_assets.fit.kept_rays import KeptRays
 from sira_assets.fit.loop import Checkpoint, Stage, run_stages
 from sira_assets.fit.pace import Pace
 from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
+from sira_assets.fit.shading import shading_evidence
 from sira_assets.scene.portrait import Portrait
 
 # torch.multinomial takes at most 2^24 weights; a photo larger than this is drawn from at random first.
@@ -73,7 +76,11 @@ def fit_geometry(
     report : called with (steps done, steps in all)
     """
     c = config
-    fit = GeometryLosses(c, prior, *_pools(portrait, c, device), refine_pose=portrait.pose_is_estimated)
+    inside, edge = _pools(portrait, c, device)
+    refine_pose = portrait.pose_is_estimated
+    generator = torch.Generator(device).manual_seed(c.seed)
+    evidence = shading_evidence(inside.every, prior, c.shading, generator, refine_pose=refine_pose)
+    fit = GeometryLosses(c, prior, inside, edge, evidence, refine_pose=refine_pose)
 
     def stage(name: str, steps: int, groups, *, geometry: bool = True, begin=lambda: None, enter=lambda: None) -> Stage:
         def before_step(step: int, generator: torch.Generator) -> None:

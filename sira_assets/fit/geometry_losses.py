@@ -16,6 +16,7 @@ from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.kept_rays import KeptRays
 from sira_assets.fit.pixels import CUT_Y_M
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.fit.shading import ShadingConfig, ShadingEvidence
 from sira_assets.render.tracing import TraceConfig, differentiable_hit
 
 # Rays that are traced to see where the silhouette is wrong, for each step that then mends it: a tenth of its time.
@@ -73,6 +74,7 @@ class GeometryFitConfig:
     # A ray whose kept hit is further than this off the surface waits for the next retrace.
     lost: float = 0.08
     trace: TraceConfig = TraceConfig()
+    shading: ShadingConfig = ShadingConfig()
     # Hidden layers of the networks in bfloat16 instead of float32.
     bfloat16: bool = False
     seed: int = 0
@@ -81,7 +83,16 @@ class GeometryFitConfig:
 class GeometryLosses:
     """The loss terms of every step, and what they read: all tensors in it change in place."""
 
-    def __init__(self, config: GeometryFitConfig, prior: Prior, inside: KeptRays, edge: KeptRays, *, refine_pose: bool):
+    def __init__(
+        self,
+        config: GeometryFitConfig,
+        prior: Prior,
+        inside: KeptRays,
+        edge: KeptRays,
+        evidence: ShadingEvidence,
+        *,
+        refine_pose: bool,
+    ):
         device = inside.t.device
         self.config, self.prior, self.inside, self.edge, self.refine_pose = config, prior, inside, edge, refine_pose
         self.model = copy.deepcopy(prior.shape)
@@ -90,9 +101,10 @@ class GeometryLosses:
         self.before = copy.deepcopy(self.model)
         self.before_z = prior.z_sdf.mean.clone()
         self.networks_open = self.covering = False
-        zeros = lambda n: nn.Parameter(torch.zeros(n, device=device))  # noqa: E731
-        self.coefficients, self.appearance = zeros(prior.z_sdf.basis.shape[1]), zeros(prior.z_r.basis.shape[1])
-        self.pose = PoseCorrection(zeros(3), zeros(3))
+        self.evidence = evidence
+        self.coefficients = nn.Parameter(evidence.coefficients.clone())
+        self.appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1], device=device))
+        self.pose = PoseCorrection(nn.Parameter(evidence.pose[:3].clone()), nn.Parameter(evidence.pose[3:].clone()))
 
     def codes(self) -> tuple[Tensor, Tensor]:
         """z_sdf and z_r."""
@@ -201,7 +213,7 @@ class GeometryLosses:
         losses = {
             "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
-            "prior": c.prior * self.coefficients.square().sum(),
+            "prior": c.prior * self.evidence.energy(self.coefficients),
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
         }
         if self.refine_pose:
