@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from sira_assets.fields.prior import Prior, untrained_appearance
 from sira_assets.fields.sa_sm import ShapeAppearanceModel, ShapeConfig
+from sira_assets.fit.shading import ShadingConfig
 from sira_assets.pipeline import Settings, settings_for
 
 
@@ -38,8 +39,10 @@ class Ablation:
         return self.name.startswith("a.")
 
     def settings(self, seed: int) -> Settings:
-        """Draft quality with this row's change."""
-        return self.change(settings_for("draft", seed=seed))
+        """Draft quality with this row's change, fitted as the paper does: networks opened, the shading not read first."""
+        draft = settings_for("draft", seed=seed)
+        paper = {"steps_codes": 100, "steps_networks": 40, "steps_cover": 20, "shading": ShadingConfig(steps=0)}
+        return self.change(replace(draft, geometry=replace(draft.geometry, **paper)))
 
     def starting(self, prior: Prior, seed: int) -> Prior:
         """The prior as this row begins with it."""
