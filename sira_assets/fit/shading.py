@@ -204,7 +204,7 @@ class _Problem:
         for _ in range(self.config.steps):
             hessian, slope = self.normal_equations(p, seen)
             for _ in range(TRIES):
-                damped = hessian + torch.diag((self.precision + (damping - 1.0) * self.damping).double())
+                damped = hessian + torch.diag(damping * self.damping.double())
                 trial = p - torch.linalg.solve(damped, slope).to(p)
                 trial_seen = self.seen(trial, seen.t)
                 trial_value = self.objective(trial, trial_seen)
@@ -284,19 +284,22 @@ class _Problem:
 
     def first_light(self, seen: _Seen) -> Tensor:
         """(9, 3) L of the mean head by robust least squares of relative errors."""
-        basis, light = harmonics(seen.n), []
+        basis = harmonics(seen.n)
         even = 1.0 / (self.linear.mean(-1) + 0.2 * self.linear.mean())
         weight = even
         for _ in range(LIGHT_ROUNDS):
-            light = [
-                torch.linalg.lstsq(
-                    (weight * seen.root[:, k])[:, None] * basis, (weight * self.linear[:, k])[:, None]
-                ).solution
-                for k in range(3)
-            ]
-            off = (seen.root * (basis @ torch.cat(light, 1)) - self.linear).abs().mean(-1) * even
+            light = []
+            for k in range(3):
+                # Normal equations in float64: LAPACK's least squares does not give the same bits twice.
+                rows = (weight * seen.root[:, k])[:, None].double() * basis.double()
+                right = rows.T @ (weight * self.linear[:, k]).double()
+                square = rows.T @ rows
+                # Surface that looks one way only leaves most harmonics open.
+                square += 1e-6 * square.diagonal().mean() * torch.eye(9, dtype=square.dtype, device=square.device)
+                light.append(torch.linalg.solve(square, right).to(weight))
+            off = (seen.root * (basis @ torch.stack(light, 1)) - self.linear).abs().mean(-1) * even
             weight = even / torch.sqrt(1.0 + (off / LIGHT_ERROR).square())
-        return torch.cat(light, 1)
+        return torch.stack(light, 1)
 
     def normal_equations(self, p: Tensor, seen: _Seen) -> tuple[Tensor, Tensor]:
         """J^T W J of the data alone, and the objective's gradient, in float64."""

@@ -145,6 +145,21 @@ def test_no_steps_and_few_pixels_leave_the_prior_alone(prior, config):
     torch.testing.assert_close(no_evidence(prior).energy(c), c.square().sum())
 
 
+def test_a_surface_that_looks_one_way_and_a_photo_of_one_colour_end_finite(prior):
+    rays = before_a_face(1500)
+    spot = replace(rays, origins=rays.origins * torch.tensor([0.02, 0.02, 1.0]) + torch.tensor([0.3, -0.4, 0.0]))
+    for few in (rays, spot):
+        found = shading_evidence(few, prior, ShadingConfig(), generator(), refine_pose=True)
+        assert torch.isfinite(found.coefficients).all() and torch.isfinite(found.precision).all()
+        assert found.coefficients.square().sum() < 64.0
+
+
+def test_the_same_photo_gives_the_same_bits(prior):
+    rays, _ = photographed(prior, before_a_face(1500), torch.ones(prior.z_sdf.basis.shape[1]))
+    one, other = (shading_evidence(rays, prior, ShadingConfig(), generator(), refine_pose=True) for _ in range(2))
+    assert torch.equal(one.coefficients, other.coefficients) and torch.equal(one.precision, other.precision)
+
+
 def test_brighter_than_white_goes_on_along_the_slope():
     x = torch.tensor([0.0, 0.5, 1.0, 1.0 + 1e-4, 3.0], dtype=torch.float64, requires_grad=True)
     y = srgb_encode_beyond(x)
