@@ -150,14 +150,16 @@ def test_a_surface_that_looks_one_way_and_a_photo_of_one_colour_end_finite(prior
     spot = replace(rays, origins=rays.origins * torch.tensor([0.02, 0.02, 1.0]) + torch.tensor([0.3, -0.4, 0.0]))
     for few in (rays, spot):
         found = shading_evidence(few, prior, ShadingConfig(), generator(), refine_pose=True)
-        assert torch.isfinite(found.coefficients).all() and torch.isfinite(found.precision).all()
+        assert torch.isfinite(found.coefficients).all()
+        assert torch.isfinite(found.precision).all()
         assert found.coefficients.square().sum() < 64.0
 
 
 def test_the_same_photo_gives_the_same_bits(prior):
     rays, _ = photographed(prior, before_a_face(1500), torch.ones(prior.z_sdf.basis.shape[1]))
     one, other = (shading_evidence(rays, prior, ShadingConfig(), generator(), refine_pose=True) for _ in range(2))
-    assert torch.equal(one.coefficients, other.coefficients) and torch.equal(one.precision, other.precision)
+    assert torch.equal(one.coefficients, other.coefficients)
+    assert torch.equal(one.precision, other.precision)
 
 
 def test_brighter_than_white_goes_on_along_the_slope():
