@@ -2,9 +2,9 @@
 
 Notation: c coefficients of z_sdf (sigma units), q the pose correction (w, u), L the second-order spherical harmonics of
 the irradiance for each colour, b the gains of patches, all found together; the photo is taken for
-exp(Phi b) sqrt(a(x_ref)) (Y(n) L), sRGB-encoded, with n the normal and a AF-SM's mean albedo, where a pixel's ray meets
-the surface. The square root is half-way between the model's mean person and skin of one colour. Frames and units as in
-fit/geometry.py.
+exp(Phi b) sqrt(a(x_ref)) (Y(n) L), sRGB-encoded, with n the normal and a the mean albedo of AF-SM where a
+pixel's ray meets the surface. The square root is half-way between the model's mean person and skin of one colour.
+Frames and units as in fit/geometry.py.
 
 Irradiance is what nine harmonics hold to a few per cent (Ramamoorthi and Hanrahan 2001, DOI 10.1145/383259.383317), and
 the renderer of SA-SM, which is not bound to any light, cannot tell from one photo what its change of brightness owes to
@@ -105,8 +105,10 @@ def shading_evidence(
     rays : of the mask
     refine_pose : the pose is an estimate, to be found together with the shape
     """
+    if config.steps < 1:
+        return no_evidence(prior)
     pixels, t = _face_pixels(rays, prior, config, generator)
-    if len(pixels) < FEWEST or config.steps < 1:
+    if len(pixels) < FEWEST:
         return no_evidence(prior)
     return _Problem(pixels, t, prior, config, refine_pose=refine_pose).solved(t)
 
