@@ -14,6 +14,12 @@ from sira_assets.pipeline import Settings
 
 Value = float | int | str
 GEOMETRY, APPEARANCE = GeometryFitConfig(), AppearanceFitConfig()
+# With fewer steps than this share of the default the networks are left as they are, and the codes get their steps: so
+# few would leave the face worse than they found it.
+NETWORKS_FROM = 0.45
+# Of a fit of few steps, how much of the photo's shading is read first: pixels and steps for each whole default, and the
+# least of them that still say something.
+READ_PIXELS, READ_STEPS, FEWEST_READ = 6000, 20, (600, 3)
 
 
 @dataclass(frozen=True)
@@ -44,9 +50,18 @@ def _geometry_steps(settings: Settings) -> float:
 
 
 def _put_geometry_steps(settings: Settings, factor: Value) -> Settings:
-    names = ("steps_appearance", "steps_codes", "steps_networks", "steps_cover")
-    steps = {n: max(1, round(factor * getattr(GEOMETRY, n))) for n in names}
-    return replace(settings, geometry=replace(settings.geometry, **steps))
+    steps = lambda name: max(1, round(factor * getattr(GEOMETRY, name)))  # noqa: E731
+    settle, codes, networks = steps("steps_appearance"), steps("steps_codes"), steps("steps_networks")
+    if factor < NETWORKS_FROM:
+        settle, codes, networks = settle + networks // 4, codes + networks - networks // 4, 0
+    reading = replace(
+        GEOMETRY.shading,
+        pixels=round(min(max(READ_PIXELS * factor, FEWEST_READ[0]), GEOMETRY.shading.pixels)),
+        steps=round(min(max(READ_STEPS * factor, FEWEST_READ[1]), GEOMETRY.shading.steps)),
+    )
+    chosen = {"steps_appearance": settle, "steps_codes": codes, "steps_networks": networks}
+    chosen |= {"steps_cover": steps("steps_cover"), "shading": reading}
+    return replace(settings, geometry=replace(settings.geometry, **chosen))
 
 
 def _put_rays(settings: Settings, factor: Value) -> Settings:

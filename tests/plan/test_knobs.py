@@ -46,6 +46,20 @@ def test_defaults_are_what_a_knob_says_of_them():
         knob("luck")
 
 
+def test_few_geometry_steps_leave_the_networks_alone_and_read_less_of_the_shading():
+    one, standard = knob("geometry steps"), settings_for("standard").geometry
+    fits = [one.put(settings_for("standard"), f).geometry for f in (0.02, 0.1, 0.25, 0.5, 1.0, 2.0)]
+    assert [g.steps_networks > 0 for g in fits] == [False, False, False, True, True, True]
+    assert all(g.steps_appearance > 0 and g.steps_codes > 0 and g.steps_cover > 0 for g in fits)
+    # Those of the networks are given away, not saved: a quarter of the default is a quarter of all steps.
+    all_steps = lambda g: g.steps_appearance + g.steps_codes + g.steps_networks + g.steps_cover  # noqa: E731
+    assert all_steps(fits[2]) == pytest.approx(0.25 * all_steps(standard), abs=2)
+    reads = [(g.shading.pixels, g.shading.steps) for g in fits]
+    assert reads == sorted(reads)
+    assert reads[0] >= (600, 3)
+    assert fits[3].shading == fits[5].shading == standard.shading
+
+
 def test_names_are_different():
     assert len({k.name for k in KNOBS}) == len(KNOBS)
 
