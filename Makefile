@@ -1,4 +1,4 @@
-# Two commands do everything on a fresh machine, each on its own: `make avatar` and `make test`.
+# Two commands do everything on a fresh machine, each on its own: `make avatar` and `make test`. `make install` only installs.
 PYTHON ?= python3.11
 VENV ?= .venv
 OUT ?= avatar
@@ -7,10 +7,12 @@ WORKERS ?= 2
 PYTEST = OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist loadfile
 PIP = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: avatar test fast-test lint clean
+.PHONY: avatar install test fast-test lint clean
 
 avatar: $(VENV)/.installed
 	$(VENV)/bin/python tools/export_avatar.py --out $(OUT) --overwrite
+
+install: $(VENV)/.installed
 
 test: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .

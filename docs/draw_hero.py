@@ -1,7 +1,7 @@
 """Draw hero.png from an exported avatar of the bundled portrait: python docs/draw_hero.py AVATAR_DIR
 
 Photo, fitted geometry, diffuse albedo, the avatar under the light found, and under two lights it never saw. The last
-three are the exported field, relit by closed-form shading without shadows.
+three are the exported field, relit by closed-form shading with cast shadows.
 """
 
 import json
