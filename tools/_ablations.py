@@ -39,9 +39,10 @@ class Ablation:
         return self.name.startswith("a.")
 
     def settings(self, seed: int) -> Settings:
-        """Draft quality with this row's change, fitted as the paper does: networks opened, shading unread."""
+        """Draft quality with this row's change, fitted as the paper does: networks opened, shading unread, no mirror."""
         draft = settings_for("draft", seed=seed)
-        paper = {"steps_codes": 100, "steps_networks": 40, "steps_cover": 20, "shading": ShadingConfig(steps=0)}
+        paper = {"steps_codes": 100, "steps_networks": 40, "steps_cover": 20}
+        paper |= {"shading": ShadingConfig(steps=0), "symmetry": 0.0}
         return self.change(replace(draft, geometry=replace(draft.geometry, **paper)))
 
     def starting(self, prior: Prior, seed: int) -> Prior:

@@ -18,6 +18,7 @@ from sira_assets.fields.fitted import AlbedoRefinement, RefinementConfig
 from sira_assets.fields.prior import Prior
 from sira_assets.fit.fewer_lobes import fewer_lobes
 from sira_assets.fit.light import FreeLight
+from sira_assets.fit.pixels import on_face
 from sira_assets.fit.seen_surface import SurfacePoints
 from sira_assets.fit.shadows import FitShadows, ShadowConfig
 from sira_assets.numerics.sg import Grade
@@ -350,12 +351,6 @@ def opened(model: AppearanceFactorModel) -> AppearanceFactorModel:
     for decoder in (model.albedo, model.specular):
         decoder.requires_grad_(True)
     return model
-
-
-def on_face(x: Tensor) -> Tensor:
-    """Which points (N, 3), network units, lie on the front within 7.5 cm of the face's middle."""
-    away = x - x.new_tensor([0.0, -0.4, 0.0])
-    return (away[:, :2].norm(dim=-1) < 0.75) & (x[:, 2] > 0.2)
 
 
 def colour_error(radiance: Tensor, points: SurfacePoints, *, squared: float = 0.0) -> Tensor:

@@ -14,7 +14,7 @@ from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.kept_rays import KeptRays
-from sira_assets.fit.pixels import CUT_Y_M
+from sira_assets.fit.pixels import CUT_Y_M, on_face
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
 from sira_assets.fit.shading import ShadingConfig, ShadingEvidence
 from sira_assets.render.tracing import TraceConfig, differentiable_hit
@@ -23,6 +23,8 @@ from sira_assets.render.tracing import TraceConfig, differentiable_hit
 ATTENDED_FOR_A_STEP = 400
 # A pixel of the mask is covered for good where its ray goes this deep (network units: 0.1 mm).
 COVERED = 0.001
+# Points a step at which phase B's change is held to be small, and on the face to be alike on both sides.
+HELD = 384
 # Over this distance (network units: 1 cm) the change of the deformation should be even.
 SLOPE_REACH = 0.1
 
@@ -70,6 +72,9 @@ class GeometryFitConfig:
     # Phase B stays near phase A (C near B, by `hold`): squared change of the deformation over and around the surface.
     anchor: float = 4.0
     slope: float = 0.1
+    # Squared difference between phase B's change and its mirror image, over the face: blotched skin and cast shadows,
+    # which the networks take for shape, lie on one side; features lie on both.
+    symmetry: float = 50.0
     pose: float = 2.0e-3
     # A ray whose kept hit is further than this off the surface waits for the next retrace.
     lost: float = 0.08
@@ -224,6 +229,7 @@ class GeometryLosses:
             losses["eikonal"] = c.eikonal * ((length - 1.0) ** 2).mean()
             far, uneven = self._anchor(x.detach(), z_sdf, generator)
             losses["anchor"], losses["slope"] = c.anchor * far, c.slope * uneven
+            losses["symmetry"] = c.symmetry * self._lopsided(x.detach(), z_sdf)
         return losses
 
     def _silhouette(self, z_sdf: Tensor, generator: torch.Generator) -> Tensor:
@@ -260,7 +266,7 @@ class GeometryLosses:
         edge = self.edge.draw(256, generator, torch.ones_like(self.edge.t))
         rays = self.edge.drawn(edge)
         band = rays.origins + self.edge.t[edge, None] * rays.directions
-        seen = [x] if self.covering else [x[:384], band]
+        seen = [x] if self.covering else [x[:HELD], band]
         points = torch.cat([*seen, low + (high - low) * random])
         away = SLOPE_REACH * torch.randn(points.shape, generator=generator, device=x.device)
         both = torch.cat([points, points + away])
@@ -272,3 +278,14 @@ class GeometryLosses:
         # Below the chin are collars and scarves, which stand off the neck that the prior knows.
         held = torch.where(points[:, 1] * UNIT_M < CUT_Y_M, 0.1, 1.0)
         return (held * here.square().sum(-1)).mean(), (held * slope).mean()
+
+    def _lopsided(self, x: Tensor, z_sdf: Tensor) -> Tensor:
+        """How far, squared, the deformation's change since the phase before is from its mirror image, over the face."""
+        x = x[:HELD]
+        flip = x.new_tensor([-1.0, 1.0, 1.0])
+        both = torch.cat([x, flip * x])
+        with torch.no_grad():
+            before, _ = self.before.deform(both, self.before_z)
+        now, _ = self.model.deform(both, z_sdf)
+        here, there = (now - before).chunk(2)
+        return (on_face(x) * (here - flip * there).square().sum(-1)).mean()

@@ -115,6 +115,12 @@ def silhouette_band(portrait: Portrait) -> tuple[np.ndarray, np.ndarray]:
     return rows[keep], columns[keep]
 
 
+def on_face(x: Float[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
+    """Which points (N, 3), network units, lie on the front within 7.5 cm of the face's middle."""
+    away = x - x.new_tensor([0.0, -0.4, 0.0])
+    return (away[:, :2].norm(dim=-1) < 0.75) & (x[:, 2] > 0.2)
+
+
 def face_weight(rays: PixelRays) -> Float[Tensor, " N"]:
     """How often a pixel is drawn: 3 where its ray crosses the plane z = 3 cm within 7.5 cm of the face, else 1."""
     t = (0.3 - rays.origins[:, 2]) / rays.directions[:, 2]
