@@ -39,7 +39,7 @@ class Ablation:
         return self.name.startswith("a.")
 
     def settings(self, seed: int) -> Settings:
-        """Draft quality with this row's change, fitted as the paper does: networks opened, shading unread, no mirror."""
+        """Draft quality with this row's change, fitted as in the paper: networks opened, shading unread, no mirror."""
         draft = settings_for("draft", seed=seed)
         paper = {"steps_codes": 100, "steps_networks": 40, "steps_cover": 20}
         paper |= {"shading": ShadingConfig(steps=0), "symmetry": 0.0}
