@@ -87,7 +87,7 @@ def fit_geometry(
             if step % c.retrace == 0 and (step == 0 or geometry):
                 fit.retrace(generator)
 
-        losses = lambda _, g: fit.losses(g, geometry=geometry)  # noqa: E731
+        losses = lambda step, g: fit.losses(g, geometry=geometry, share=step / steps)  # noqa: E731
         return Stage(name, steps, groups, losses, begin, enter, before_step, WORK[name])
 
     def shape_groups(rate: float) -> list[tuple[list[Tensor], float]]:

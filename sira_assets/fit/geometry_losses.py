@@ -64,7 +64,9 @@ class GeometryFitConfig:
     cover_last: float = 60.0
     # Phase C: rays on the wrong side of the silhouette are followed this much more often, and what is seen is held.
     attention: float = 30.0
-    hold: float = 3000.0
+    # So many times as strongly at first: large early steps are wide ones and would take the face along.
+    hold: float = 2000.0
+    hold_first: float = 16.0
     rate_cover: float = 4.0e-4
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
@@ -178,8 +180,9 @@ class GeometryLosses:
         self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.deepest(self.model, z_sdf, self.pose)
 
-    def losses(self, generator: torch.Generator, *, geometry: bool) -> dict[str, Tensor]:
-        """Weighted loss terms of one step; without `geometry` only the appearance code learns."""
+    def losses(self, generator: torch.Generator, *, geometry: bool, share: float) -> dict[str, Tensor]:
+        """Weighted loss terms of one step, `share` of its phase's way; without `geometry` only the appearance code
+        learns."""
         c = self.config
         z_sdf, z_r = self.codes()
         usable = self.inside.hit & self.inside.every.usable[self.inside.index]
@@ -206,7 +209,7 @@ class GeometryLosses:
             return {
                 "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
                 "eikonal": c.eikonal * ((length - 1.0) ** 2).mean(),
-                "anchor": c.hold * far,
+                "anchor": c.hold * c.hold_first ** (1.0 - share) * far,
                 "slope": c.slope * uneven,
             }
         on = (f.detach().abs() < c.lost).float()

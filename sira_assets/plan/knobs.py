@@ -17,6 +17,8 @@ GEOMETRY, APPEARANCE = GeometryFitConfig(), AppearanceFitConfig()
 # With fewer steps than this share of the default the networks are left as they are, and the codes get their steps: so
 # few would leave the face worse than they found it.
 NETWORKS_FROM = 0.45
+# With fewer than this share, phase C holds what is seen less: it must cover the mask in what steps it has.
+HELD_FULLY_FROM = 0.25
 # Of a fit of few steps, how much of the photo's shading is read first: pixels and steps for each whole default, and the
 # least of them that still say something.
 READ_PIXELS, READ_STEPS, FEWEST_READ = 6000, 20, (600, 3)
@@ -60,7 +62,8 @@ def _put_geometry_steps(settings: Settings, factor: Value) -> Settings:
         steps=round(min(max(READ_STEPS * factor, FEWEST_READ[1]), GEOMETRY.shading.steps)),
     )
     chosen = {"steps_appearance": settle, "steps_codes": codes, "steps_networks": networks}
-    chosen |= {"steps_cover": steps("steps_cover"), "shading": reading}
+    hold = GEOMETRY.hold * min(factor / HELD_FULLY_FROM, 1.0)
+    chosen |= {"steps_cover": steps("steps_cover"), "hold": hold, "shading": reading}
     return replace(settings, geometry=replace(settings.geometry, **chosen))
 
 

@@ -54,6 +54,9 @@ def test_few_geometry_steps_leave_the_networks_alone_and_read_less_of_the_shadin
     # Those of the networks are given away, not saved: a quarter of the default is a quarter of all steps.
     all_steps = lambda g: g.steps_appearance + g.steps_codes + g.steps_networks + g.steps_cover  # noqa: E731
     assert all_steps(fits[2]) == pytest.approx(0.25 * all_steps(standard), abs=2)
+    holds = [g.hold for g in fits]
+    assert holds == sorted(holds)
+    assert holds[2] == holds[5] == standard.hold
     reads = [(g.shading.pixels, g.shading.steps) for g in fits]
     assert reads == sorted(reads)
     assert reads[0] >= (600, 3)
