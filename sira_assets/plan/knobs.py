@@ -118,7 +118,7 @@ KNOBS = (
     Knob(
         "photo size",
         "pixels a side",
-        (64, 128, 256, "all"),
+        (128, 256, "all"),
         ("fit geometry", "fit appearance"),
         lambda s: s.photo_side or "all",
         lambda s, v: replace(s, photo_side=None if v == "all" else int(v)),
