@@ -4,8 +4,8 @@ Plain arrays are what the stages between the fits do with a mesh: sort its edges
 points. No one of these stands for the others: between two machines with equal networks and rays, sorting alone differed
 2.5 times and whole stages hardly.
 
-Notation: each piece is done several times and its middle time counts, so that a hiccup does not, and a machine that
-others use as well counts as it is now.
+Notation: each piece is done several times and the lower quarter of its times counts, so that hiccups do not (they last
+for several repeats of a short piece), and a machine that others use as well counts as it is now.
 """
 
 import time
@@ -73,10 +73,10 @@ def benchmark(
 
     try:
         return Benchmark(
-            _middle(network, repeats, clock),
-            _middle(lambda: caster.cast(origins, aims), repeats, clock),
+            _usual(network, repeats, clock),
+            _usual(lambda: caster.cast(origins, aims), repeats, clock),
             # Of a hundredth of a second each, so that the machine's hiccups weigh more.
-            _middle(arrays, 3 * repeats, clock),
+            _usual(arrays, 3 * repeats, clock),
         )
     finally:
         freeze(model)
@@ -88,14 +88,14 @@ def speed(stage: str, here: Benchmark, there: Benchmark) -> float:
     return getattr(here, kind) / max(getattr(there, kind), 1e-12)
 
 
-def _middle(work: Callable[[], object], repeats: int, clock: Callable[[], float]) -> float:
+def _usual(work: Callable[[], object], repeats: int, clock: Callable[[], float]) -> float:
     work()  # the first time allocates
     seconds = []
     for _ in range(repeats):
         began = clock()
         work()
         seconds.append(clock() - began)
-    return float(np.median(seconds))
+    return float(np.quantile(seconds, 0.25))
 
 
 def _ball(rows: int = 100, columns: int = 200):
