@@ -147,8 +147,8 @@ def _picture_of(material) -> np.ndarray | None:
 def _cleaned(mesh: ScanMesh, path: Path, pieces: str) -> ScanMesh:
     finite = np.isfinite(mesh.vertices).all(1) & np.isfinite(mesh.coordinates).all(1)
     keep = finite[mesh.faces].all(1)
-    if not keep.all():
-        mesh = mesh.only(keep, f"{int((~keep).sum())} faces with NaN or inf left out")
+    left_out = () if keep.all() else (f"{int((~keep).sum())} faces with NaN or inf left out",)
+    mesh = mesh.only(keep, *left_out)  # vertices of no face go too: size, weld and cameras reach for every vertex
     if len(mesh.faces) < LEAST_FACES:
         raise InputError(
             expected=f"a head of at least {LEAST_FACES} triangles in {path}",

@@ -107,6 +107,19 @@ def test_dirt_is_left_out_and_said(tmp_path):
     assert np.allclose(subject.vertex_albedo, NEUTRAL_ALBEDO)
 
 
+@pytest.mark.parametrize("stray", [[0.0, 3.0, 0.0], [0.0, 3e5, 0.0], [np.nan] * 3], ids=["near", "far", "NaN"])
+def test_vertices_of_no_face_do_not_count(tmp_path, stray):
+    vertices, faces = egg()
+    for name in ("clean", "strayed"):
+        (tmp_path / name).mkdir()
+    clean = scan_subject(write_scan(tmp_path / "clean", vertices, faces, landmarks_on_egg()))
+    more = np.insert(vertices, [0, len(vertices)], stray, axis=0)
+    strayed = scan_subject(write_scan(tmp_path / "strayed", more, faces + 1, landmarks_on_egg()))
+    assert np.array_equal(strayed.mesh.vertices, clean.mesh.vertices)
+    assert np.array_equal(strayed.mesh.faces, clean.mesh.faces)
+    assert strayed.provenance == clean.provenance
+
+
 def test_vertex_colours_are_srgb(tmp_path):
     vertices, faces = egg()
     colours = np.full((len(vertices), 4), [188, 188, 0, 255], np.uint8)
