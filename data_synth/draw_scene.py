@@ -21,7 +21,7 @@ from data_synth.write_scene import SynthScene
 from sira_assets.errors import InputError
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.scene.camera import Camera
-from sira_assets.scene.canonical import similarity_scale, transform_points
+from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, similarity_scale, transform_points
 
 # One value a scene, chosen to reach from oily to dry skin around the 0.4 to 0.5 that real heads are rendered with.
 ROUGHNESS_RANGE = (0.32, 0.52)
@@ -76,7 +76,8 @@ def draw_scene(settings: SceneSettings, index: int, *, tone: SkinTone | None = N
         camera_config = replace(camera_config, around_yaw=min(subject.around_yaw_deg, camera_config.around_yaw))
     cameras = sample_cameras(rng_pose, framed, world_from_canonical, settings.views, camera_config)
 
-    face = np.linalg.norm(subject.mesh.vertices - subject.landmarks["nose_tip"], axis=1) < FACE_RADIUS_M
+    nose_tip = subject.landmarks.get("nose_tip", CANONICAL_LANDMARKS_M["nose_tip"])
+    face = np.linalg.norm(subject.mesh.vertices - nose_tip, axis=1) < FACE_RADIUS_M
     rotation = world_from_canonical[:3, :3] / similarity_scale(world_from_canonical)
     roughness = float(rng_light.uniform(*ROUGHNESS_RANGE))
     mesh = subject.mesh.transformed(world_from_canonical)
