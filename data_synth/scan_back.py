@@ -48,9 +48,10 @@ def widest_yaw(mesh: TriangleMesh) -> float:
 
 
 def without_back(rendering: Rendering, camera: Camera, caster: Raycaster, mesh: TriangleMesh) -> Rendering:
-    """The rendering with nothing, in every map and in the mask, where a pixel's centre sees the back of a face."""
+    """The rendering with nothing, in every map and in the mask, where a pixel's centre sees the back of a face; an
+    occluder before one stays."""
     _, back = shows_back(caster, mesh, *camera.rays_world())
-    back = back.reshape(rendering.mask.shape)
+    back = back.reshape(rendering.mask.shape) & rendering.mask
     if not back.any():
         return rendering
     maps = {field.name: getattr(rendering, field.name).copy() for field in fields(Rendering)}
