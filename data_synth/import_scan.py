@@ -10,12 +10,11 @@ import numpy as np
 
 from data_synth.close_scan import closed_by_caps, oriented
 from data_synth.scan_back import widest_yaw
-from data_synth.scan_landmarks import ScanLandmarks, read_scan_landmarks
+from data_synth.scan_landmarks import ScanLandmarks, check_on_surface, read_scan_landmarks
 from data_synth.scan_mesh import ScanMesh, read_scan_mesh
 from data_synth.scene_settings import ScanSource
 from data_synth.subject import Subject
 from sira_assets.errors import InputError
-from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.signed_distance import inside
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.canonical import (
@@ -27,7 +26,6 @@ from sira_assets.scene.canonical import (
 
 # The nine of real heads lie 3 to 6 mm (RMS) from the mean head's; swapped sides, or other points, beyond 20 mm.
 MOST_LANDMARK_RMS_M = 0.012
-MOST_OFF_SURFACE_M = 0.012  # a picked landmark lies on the scan; a nose tip of another unit does not
 HEAD_REACH_M = 0.35  # from the point between the eyes; what lies beyond is body
 SCALES = (0.7, 1.4)  # canonical metres per metre: newborn to giant
 MOST_CAP = 1.0  # of the scan's own area (half a ball open behind: 0.5); more is a mask, whose inside is guesswork
@@ -135,13 +133,7 @@ def _looks_inward(mesh: TriangleMesh) -> bool:
 def _closed(source: ScanSource, mesh: TriangleMesh, placed: ScanLandmarks) -> TriangleMesh:
     """The scan closed, with its own faces first; itself where it is closed."""
     points = np.array(list(placed.nine.values()))
-    off = float(np.median(Raycaster(mesh).closest(points).distance))
-    if off > MOST_OFF_SURFACE_M:
-        raise InputError(
-            expected=f"landmarks on the surface of {source.mesh}",
-            received=f"points {1e3 * off:.0f} mm off (median)",
-            remedy="check that both have one frame and unit",
-        )
+    check_on_surface(points, mesh, source.mesh)
     closed = closed_by_caps(mesh)
     area = np.linalg.norm(face_cross_products(closed.vertices, closed.faces), axis=1)
     cap = float(area[len(mesh.faces) :].sum() / area[: len(mesh.faces)].sum())

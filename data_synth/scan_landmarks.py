@@ -14,11 +14,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sira_assets.errors import InputError
+from sira_assets.mesh.raycast import Raycaster
+from sira_assets.mesh.triangle_mesh import TriangleMesh
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, IBUG68_OF_CANONICAL
 from sira_assets.scene.landmarks import MAX_JSON_BYTES, landmarks_from_json, read_json
 
 KEYS_OF_68 = ("lm68_m", "multipie68_m", "landmarks_m", "landmarks_3d")  # Multi-PIE's 68 are iBUG's
 LEAST = 5  # of the nine; fewer leave the pose to chance
+MOST_OFF_SURFACE_M = 0.012  # a picked landmark lies on the scan; a nose tip of another unit does not
 
 
 @dataclass(frozen=True)
@@ -101,3 +104,19 @@ def _from_picked_points(path: Path) -> tuple[dict, np.ndarray | None]:
         received=f"{len(points)} points named {', '.join(names[:4])}",
         remedy=f"pick, in this order: {', '.join(CANONICAL_LANDMARKS_M)}",
     )
+
+
+def check_on_surface(points: np.ndarray, mesh: TriangleMesh, path: str | Path) -> None:
+    """Refuse landmarks (N, 3) that are not their mesh's, both in canonical metres; `path` is the mesh's file.
+
+    Raises
+    ------
+    InputError : half of them lie farther than `MOST_OFF_SURFACE_M` from the surface.
+    """
+    off = float(np.median(Raycaster(mesh).closest(points).distance))
+    if not off <= MOST_OFF_SURFACE_M:
+        raise InputError(
+            expected=f"landmarks on the surface of {path}",
+            received=f"points {1e3 * off:.0f} mm off (median)",
+            remedy="check that both have one frame and unit",
+        )

@@ -24,6 +24,7 @@ from data_synth.head.relief_params import REGIONS, RELIEF_NAMES, RELIEF_SIZE
 from data_synth.head.shape_params import AMOUNTS, SIGMA_NAMES, NamedShape, bounds, neutral
 from data_synth.head.surface import bald_surface
 from data_synth.head.traits import trait_loadings
+from data_synth.scan_landmarks import check_on_surface
 from sira_assets.errors import InputError
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, IBUG68_OF_CANONICAL, canonical_from_landmarks, similarity
@@ -92,7 +93,7 @@ def read_head(folder: Path) -> Head:
 
     Raises
     ------
-    InputError : no mesh, or not all of the nine landmarks.
+    InputError : no mesh, not all of the nine landmarks, or landmarks off the mesh.
     """
     from sira_assets.measure.truth import read_mesh
     from sira_assets.scene.landmarks import read_landmarks
@@ -110,7 +111,9 @@ def read_head(folder: Path) -> Head:
     to = lambda x: x @ matrix[:3, :3].T + matrix[:3, 3]  # noqa: E731
     nine = to(np.stack([landmarks[name] for name in CANONICAL_ORDER]))
     mm = 1e3 / float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    return Head(folder.resolve().name, TriangleMesh(to(mesh.vertices), mesh.faces), nine, mm)
+    placed = TriangleMesh(to(mesh.vertices), mesh.faces)
+    check_on_surface(nine, placed, folder / "mesh.ply")
+    return Head(folder.resolve().name, placed, nine, mm)
 
 
 def scales() -> np.ndarray:

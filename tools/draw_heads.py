@@ -29,6 +29,8 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Run the tool; returns the exit status."""
     arguments = parser().parse_args(argv)
+    if min(arguments.seed, arguments.first) < 0:
+        parser().error("--seed and --first must be at least 0")
     return run(lambda: draw(arguments))
 
 

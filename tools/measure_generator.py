@@ -68,8 +68,8 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Run the tool; returns the exit status."""
     arguments = parser().parse_args(argv)
-    if arguments.heads < 20 or arguments.surfaces < 2:
-        parser().error("--heads must be at least 20 and --surfaces at least 2")
+    if arguments.heads < 20 or arguments.surfaces < 2 or arguments.seed < 0:
+        parser().error("--heads must be at least 20, --surfaces at least 2 and --seed at least 0")
     return run(lambda: measure(arguments))
 
 
