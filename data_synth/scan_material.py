@@ -1,8 +1,8 @@
 """Colour of a scan at any point of its surface.
 
-Notation: a scan is made of parts, each with a picture, with vertex colours, or bare. A material coordinate is
-(part, a, b, c), constant in its first number over a triangle: (part, u, v, 0) under a picture, (part, r, g, b) linear
-elsewhere. u, v have their origin at the bottom left and repeat beyond [0, 1].
+Notation: a scan is made of parts, each with a picture or without. A material coordinate is (part, u, v, r, g, b),
+constant in its first number over a triangle: the part's picture at (u, v), or white, times linear r, g, b. u, v have
+their origin at the bottom left and repeat beyond [0, 1].
 """
 
 from dataclasses import dataclass
@@ -25,13 +25,13 @@ class ScanMaterial:
     pictures: tuple[np.ndarray | None, ...]
 
     def __call__(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Linear albedo (N, 3) and specular F0 (N,) at material coordinates (N, 4)."""
-        albedo = np.clip(coordinates[:, 1:], 0.0, 1.0)
+        """Linear albedo (N, 3) and specular F0 (N,) at material coordinates (N, 6)."""
+        albedo = np.clip(coordinates[:, 3:], 0.0, 1.0)
         part = np.round(coordinates[:, 0]).astype(np.int64)
         for k, picture in enumerate(self.pictures):
             own = np.flatnonzero(part == k)
             if picture is not None and len(own):
-                albedo[own] = sample_bilinear(picture, coordinates[own, 1:3])
+                albedo[own] *= sample_bilinear(picture, coordinates[own, 1:3])
         return albedo, np.full(len(coordinates), F0_DIELECTRIC * DEFAULT_KS)
 
 

@@ -1,4 +1,4 @@
-"""A scan's file to clean triangles with material coordinates.
+"""A scan's parts to one clean mesh with material coordinates.
 
 Notation: U vertices as the file has them, split where a texture is cut; V welded by position; `weld` (U,) -> V.
 """
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_synth.scan_material import NEUTRAL_ALBEDO, ScanMaterial
+from data_synth.scan_material import ScanMaterial
+from data_synth.scan_parts import read_scan_parts
 from sira_assets.errors import InputError
-from sira_assets.numerics.colour import linear_from_srgb
 
 # Vertices nearer than this part of the scan's size are one: far below a scan's noise, above single precision.
 WELD_WITHIN = 1e-6
@@ -21,7 +21,7 @@ MOST_BORDER = 0.2  # of all edges; beyond, faces do not hang together
 
 @dataclass(frozen=True)
 class ScanMesh:
-    """vertices (U, 3), faces (F, 3) into them, weld (U,), coordinates (U, 4), material; notes on what was done."""
+    """vertices (U, 3), faces (F, 3) into them, weld (U,), coordinates (U, 6), material; notes on what was done."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -62,86 +62,19 @@ def read_scan_mesh(path: str | Path, texture: str | Path | None = None, *, piece
     InputError : unreadable, no triangles, too few of them, or faces that do not hang together.
     """
     path = Path(path)
-    picture = None if texture is None else _read_picture(Path(texture))
-    vertices, faces, coordinates, pictures, notes, offset = [], [], [], [], [], 0
-    for part in _load_parts(path):
-        x, f, c, own = _part_arrays(part, len(pictures), picture, notes)
-        vertices.append(x)
-        faces.append(f + offset)
-        coordinates.append(c)
-        pictures.append(own)
-        offset += len(x)
-    if picture is not None and all(p is None for p in pictures):
-        raise InputError(
-            expected=f"texture coordinates in {path}",
-            received="none",
-            remedy="leave out the texture, or unwrap the mesh",
-        )
-    x, f = np.concatenate(vertices), np.concatenate(faces)
-    mesh = ScanMesh(x, f, np.arange(len(x)), np.concatenate(coordinates), ScanMaterial(tuple(pictures)), tuple(notes))
+    parts = read_scan_parts(path, None if texture is None else Path(texture))
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    mesh = ScanMesh(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, first, strict=False)]),
+        weld=np.arange(first[-1]),
+        coordinates=np.concatenate(
+            [np.column_stack([np.full(len(p.vertices), k), p.uv, p.tint]) for k, p in enumerate(parts)]
+        ),
+        material=ScanMaterial(tuple(part.picture for part in parts)),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
     return _cleaned(mesh, path, pieces)
-
-
-def _load_parts(path: Path) -> list:
-    import trimesh
-
-    if not path.is_file():
-        raise InputError(expected=f"a mesh file {path}", received="no such file", remedy="check the path")
-    try:
-        loaded = trimesh.load(path, process=False)
-        scene = loaded if isinstance(loaded, trimesh.Scene) else trimesh.Scene(loaded)
-        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
-    except Exception as error:  # trimesh's readers raise whatever their parsers do
-        raise InputError(
-            expected=f"a mesh that trimesh reads at {path}",
-            received=f"{type(error).__name__}: {error}"[:200],
-            remedy="export it as PLY, OBJ or GLB",
-        ) from None
-    if not parts:
-        raise InputError(
-            expected=f"triangles in {path}", received="none (points?)", remedy="export a surface, not a point cloud"
-        )
-    return parts
-
-
-def _read_picture(path: Path) -> np.ndarray:
-    from PIL import Image, UnidentifiedImageError
-
-    if not path.is_file():
-        raise InputError(expected=f"a picture {path}", received="no such file", remedy="check the path")
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
-        raise InputError(
-            expected=f"a picture {path}", received=str(error)[:120], remedy="export as PNG or JPEG"
-        ) from None
-
-
-def _part_arrays(part, number: int, picture: np.ndarray | None, notes: list[str]):
-    """Vertices, faces, coordinates and picture of one part."""
-    x, f = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
-    visual, own = part.visual, None
-    uv = getattr(visual, "uv", None)
-    if uv is not None and len(uv) == len(x):
-        own = picture if picture is not None else _picture_of(visual.material)
-    if own is not None:
-        colour = np.column_stack([np.asarray(uv, np.float64), np.zeros(len(x))])
-    elif visual.kind == "face":
-        x, f = x[f].reshape(-1, 3), np.arange(3 * len(f)).reshape(-1, 3)
-        colour = linear_from_srgb(np.repeat(np.asarray(visual.face_colors)[:, :3], 3, axis=0) / 255.0)
-    elif visual.kind == "vertex":
-        colour = linear_from_srgb(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
-    else:
-        colour = np.broadcast_to(NEUTRAL_ALBEDO, x.shape)
-        what = "texture coordinates but no picture (give one with --scan-texture)" if uv is not None else "no colours"
-        notes.append(f"{what}: neutral grey {NEUTRAL_ALBEDO[0]:g}")
-    return x, f, np.column_stack([np.full(len(x), number), colour]), own
-
-
-def _picture_of(material) -> np.ndarray | None:
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    return None if image is None else np.asarray(image.convert("RGB"))
 
 
 def _cleaned(mesh: ScanMesh, path: Path, pieces: str) -> ScanMesh:

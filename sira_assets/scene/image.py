@@ -18,7 +18,7 @@ from sira_assets.numerics.colour import linear_from_srgb
 from sira_assets.scene.exr import exr_size, read_exr, write_exr
 from sira_assets.scene.png16 import is_png16, png_size, read_png16, write_png16
 
-__all__ = ["ImageFile", "image_size", "orient", "read_image", "read_mask", "write_exr", "write_png"]
+__all__ = ["ImageFile", "image_size", "orient", "read_image", "read_mask", "to_srgb", "write_exr", "write_png"]
 
 # 8192 x 8192: more than any phone takes at its main setting; some 4 GB once a fit holds its few float copies.
 MAX_PIXELS = 1 << 26
@@ -95,7 +95,7 @@ def _read_samples(path: Path) -> tuple[np.ndarray, str, int, float | None, tuple
         file.load()
         encoding = "jpeg" if file.format in ("JPEG", "MPO") else "srgb8"
         has_alpha = file.mode in ("RGBA", "LA", "PA") or "transparency" in file.info
-        picture, said = _to_srgb(file, path)
+        picture, said = to_srgb(file, path.name)
         grey = file.mode in ("1", "L") and not has_alpha
         pixels = np.array(picture.convert("L" if grey else "RGBA" if has_alpha else "RGB"))
     orientation = orientation if orientation in range(1, 9) else 1
@@ -129,8 +129,9 @@ def _pillow(path: Path):
         ) from None
 
 
-def _to_srgb(picture, path: Path):
-    """The picture in sRGB if it carries another colour profile (phones: Display P3), and a line that says so."""
+def to_srgb(picture, name: str):
+    """A Pillow picture in sRGB, converted if it carries another colour profile (phones: Display P3), and lines that say
+    so by `name`."""
     profile = picture.info.get("icc_profile")
     if not profile or picture.mode not in ("RGB", "RGBA", "CMYK"):
         return picture, ()
@@ -138,14 +139,14 @@ def _to_srgb(picture, path: Path):
 
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        name = ImageCms.getProfileDescription(source).strip()
-        if "srgb" in name.lower():
+        profiled = ImageCms.getProfileDescription(source).strip()
+        if "srgb" in profiled.lower():
             return picture, ()
         mode = "RGBA" if picture.mode == "RGBA" else "RGB"
         picture = ImageCms.profileToProfile(picture, source, ImageCms.createProfile("sRGB"), outputMode=mode)
-        return picture, (f"{path.name}: converted from colour profile '{name}' to sRGB",)
+        return picture, (f"{name}: converted from colour profile '{profiled}' to sRGB",)
     except (ImageCms.PyCMSError, OSError, ValueError):
-        return picture, (f"{path.name}: unreadable colour profile, taken as sRGB",)
+        return picture, (f"{name}: unreadable colour profile, taken as sRGB",)
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
