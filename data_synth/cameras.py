@@ -6,12 +6,14 @@ A focal length in mm is 35 mm equivalent: that of a frame 24 mm high. The pictur
 """
 
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
 from sira_assets.scene.camera import Camera
 
 FRAME_MM = 24.0
+MOST_FILL = 0.95  # of the picture that a whole head spans in any view
 # How portraits are taken: name, share, focal lengths in mm, distances in m both drawn on a logarithmic scale.
 # Phones have 24 to 28 mm at the back, 22 to 30 at the front, 48 to 77 in the second lens; portraits 50 to 135.
 STYLES = (
@@ -169,23 +171,44 @@ def sample_cameras(
         poses.append(look_at(centre, middle + jitter, np.array([0.0, 1.0, 0.0]), _tilt(rng, 3.0, 8.0)))
         inside = (head_points_canonical - centre) @ poses[-1][:3, :3]
         spans.append(np.ptp(inside[:, :2] / inside[:, 2:], axis=0).max())
-    # The first view gets exactly the drawn fill; no other may burst the frame unless the first does.
+    # The first view gets exactly the drawn fill.
     focal = framing.fill / spans[0]
     if framing.fill < 1.0:
-        focal = min(focal, 0.95 / max(spans))
+        focal = min(focal, MOST_FILL / max(spans))
     size = np.array([config.width, config.height])
     pixels = focal * size.min()
     axis = 0.5 * size + framing.axis * size.min()
     intrinsics = np.array([[pixels, 0, axis[0]], [0, pixels, axis[1]], [0, 0, 1.0]])
+    edges = np.array([-axis, size - axis]) / pixels
     out = []
-    for canonical in poses:
+    for k, canonical in enumerate(poses):
         # Turn the camera from the head to where the head shall be off the optical axis.
         wanted = (framing.shift - framing.axis) / focal
         canonical[:3, :3] = canonical[:3, :3] @ _towards(wanted).T
+        # No other view cuts the head unless the first is meant to.
+        if k > 0 and framing.fill < 1.0:
+            canonical = _showing_all(canonical, head_points_canonical, *edges)
         pose = world_from_canonical @ canonical
         pose[:3, :3] /= scale
         out.append(Camera(intrinsics, pose, config.width, config.height))
     return out
+
+
+def _showing_all(pose: np.ndarray, points: np.ndarray, least: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """The (4, 4) pose itself where points (N, 3) lie within slopes `least` to `most` (2,), the picture's edges; else
+    turned so that they lie in the middle, and back from them where they are too large for it."""
+    middle = 0.5 * (points.min(0) + points.max(0))
+    for attempt in count():
+        inside = (points - pose[:3, 3]) @ pose[:3, :3]
+        slopes = inside[:, :2] / inside[:, 2:]
+        low, high = slopes.min(0), slopes.max(0)
+        if (low >= least).all() and (high <= most).all():
+            return pose
+        # A turn moves an outline's middle but nearly to where it shall be; an outline that shrinks gets there.
+        away = max(((high - low) / (most - least)).max() / MOST_FILL, 1.0 + 0.01 * attempt)
+        pose = pose.copy()
+        pose[:3, :3] = pose[:3, :3] @ _towards(0.5 * (low + high)) @ _towards(0.5 * (least + most)).T
+        pose[:3, 3] = middle + away * (pose[:3, 3] - middle)
 
 
 def _towards(slope: np.ndarray) -> np.ndarray:
