@@ -52,9 +52,8 @@ def run_on_dask(
 
 def write_on_worker(out: str, settings: SceneSettings, index: int, generator: str) -> tuple[str, float]:
     """One scene, in a worker: one thread, as in `data_synth.dataset`, so that sums are taken in the same order."""
-    from threadpoolctl import threadpool_limits
-
     from data_synth.dataset import write_one
+    from data_synth.one_thread import one_thread
 
     if not Path(out).is_dir() or generator_fingerprint() != generator:
         raise InputError(
@@ -62,12 +61,6 @@ def write_on_worker(out: str, settings: SceneSettings, index: int, generator: st
             received=f"generator {generator_fingerprint()}, folder {'seen' if Path(out).is_dir() else 'not seen'}",
             remedy="share the folder and the code between the machines",
         )
-    import torch
+    import torch  # noqa: F401 - held to one thread only where it is loaded
 
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            return write_one(Path(out), settings, index)
-    finally:
-        torch.set_num_threads(before)
+    return one_thread(write_one)(Path(out), settings, index)

@@ -133,6 +133,7 @@ def panorama_file(path: Path, quiet: bool):
     """
     import json
 
+    from data_synth.one_thread import one_thread
     from data_synth.render_panorama import PanoramaSource
     from data_synth.scene_light import PanoramaFile, load_panorama
     from sira_assets.errors import InputError
@@ -143,7 +144,7 @@ def panorama_file(path: Path, quiet: bool):
         raise InputError(expected=f"a panorama {path}", received="no such file", remedy="give it with --panorama")
     envmap = load_panorama(str(path))
     PanoramaSource(envmap)
-    found = fit_panorama(envmap)
+    found = one_thread(fit_panorama)(envmap)
     if not quiet:
         figures = f"{len(found.light)} gaussians, irradiance off by {100 * found.irradiance_residual:.1f} % RMS"
         print(f"{path.name}: {figures}", file=sys.stderr)

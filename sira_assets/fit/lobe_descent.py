@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.optimize import nnls
 from torch import Tensor
 
 from sira_assets.numerics.exponential import phi1
@@ -110,8 +111,6 @@ def _kernel_with_slopes(rows: Rows, lobes: Lobes) -> tuple[np.ndarray, np.ndarra
 
 def best_amplitudes(matrix: np.ndarray, target: np.ndarray) -> np.ndarray:
     """(N, 3) amplitudes >= 0 that make |matrix mu - target|^2 least, by channel."""
-    from scipy.optimize import nnls
-
     # A triangle of N rows has the same least squares as all rows.
     q, r = np.linalg.qr(matrix)
     scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)

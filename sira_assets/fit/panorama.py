@@ -124,7 +124,7 @@ def fit_panorama(envmap: EnvironmentMap, config: PanoramaFitConfig = PanoramaFit
     Lobes are added where they lower the cost most (candidates: bright sources with their own flux and spread, and
     even lobes of several widths), each time followed by a descent of all axes and sharpnesses, amplitudes >= 0 at
     their best; in the end lobes that are not needed are taken away. A black panorama has no lobes. Radiance below 0
-    counts as 0. The same map gives the same bytes on one machine.
+    counts as 0. The same map gives the same bytes on one machine with the same number of threads.
 
     Returns
     -------

@@ -1,5 +1,6 @@
 """make_scenes.py: same bytes however it is run, resumes, refuses what makes no sense."""
 
+import importlib
 import json
 import signal
 import subprocess
@@ -20,6 +21,12 @@ def make_scenes(*arguments: object) -> subprocess.CompletedProcess:
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    monkeypatch.syspath_prepend(str(TOOL.parent))
+    return importlib.import_module("make_scenes")
 
 
 @pytest.mark.slow
@@ -55,6 +62,30 @@ def test_another_process_draws_the_same_heads(tmp_path):
     assert there.keys() == here.keys()
     assert [name for name in here if here[name] != there[name]] == []
     assert contents(folders[0])["gt/mesh.ply"] != here["gt/mesh.ply"]
+
+
+@pytest.mark.slow
+def test_gaussians_of_a_panorama_do_not_depend_on_the_number_of_threads(tool, tmp_path):
+    import numpy as np
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    from sira_assets.scene.envmap import EnvironmentMap, write_envmap
+
+    sky = np.random.default_rng(0).gamma(0.3, 1.0, (24, 48, 3)).astype(np.float32)
+    sky[5, 7] += 200.0
+    write_envmap(tmp_path / "sky.exr", EnvironmentMap(sky))
+    before, lights, left = torch.get_num_threads(), [], []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            with threadpool_limits(threads):
+                lights.append(tool.panorama_file(tmp_path / "sky.exr", quiet=True).lights)
+                left.append(torch.get_num_threads())
+    finally:
+        torch.set_num_threads(before)
+    assert lights[0] == lights[1]
+    assert left == [1, 2]
 
 
 @pytest.mark.parametrize(
