@@ -7,7 +7,6 @@ leave every byte as it is. What stands under a scene's own name is whole; what i
 import json
 import multiprocessing
 import os
-import shutil
 import signal
 import threading
 import time
@@ -18,7 +17,7 @@ from pathlib import Path
 
 from data_synth.draw_scene import draw_scene
 from data_synth.scene_settings import SceneSettings, scene_name
-from data_synth.write_scene import partial_folders, write_scene
+from data_synth.write_scene import is_whole, remove_partials, write_scene
 from sira_assets.atomic import write_text
 from sira_assets.errors import InputError
 
@@ -49,28 +48,38 @@ def write_dataset(
 
     Raises
     ------
-    InputError : `out` holds a data set made with other settings, or workers < 1.
+    InputError : `out` holds a data set made with other settings, or something else under a scene's name; workers < 1.
     """
     out = Path(out).resolve()
     if workers < 1:
         raise InputError(expected="at least one worker", received=f"{workers}", remedy="use --workers 1 or more")
     claim_folder(out, settings)
-    remove_leftovers(out, settings, indices)
-    missing = []
+    there = {index: _is_there(out / scene_name(settings, index)) for index in indices}
+    missing = [index for index in indices if not there[index]]
     for index in indices:
-        if (out / scene_name(settings, index)).is_dir():
+        if there[index]:
             on_scene(scene_name(settings, index), 0.0)
-        else:
-            missing.append(index)
     if missing and scheduler is not None:
         from data_synth.dask_run import run_on_dask
 
         run_on_dask(scheduler, out, settings, missing, on_scene)
     elif missing:
         _run_in_processes(out, settings, missing, workers, on_scene)
-    # A process that outlived its killed parent may have begun a scene since; all of these exist by now.
     remove_leftovers(out, settings, indices)
     return len(missing)
+
+
+def _is_there(folder: Path) -> bool:
+    """Whether a scene stands at `folder`; InputError where something else does."""
+    if is_whole(folder):
+        return True
+    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+        raise InputError(
+            expected=f"a scene, or nothing, at {folder}",
+            received="a folder without transforms.json" if folder.is_dir() else "a file",
+            remedy="move it away, or give another --out",
+        )
+    return False
 
 
 def _run_in_processes(out: Path, settings: SceneSettings, missing: list[int], workers: int, on_scene) -> None:
@@ -106,13 +115,12 @@ def claim_folder(out: Path, settings: SceneSettings) -> None:
 
 
 def remove_leftovers(out: Path, settings: SceneSettings, indices: Sequence[int]) -> None:
-    """Remove what killed runs had begun of these scenes and of this data set's own files.
+    """Remove what killed runs had begun of this data set's own files, and of these scenes where they are whole by now.
 
-    Two runs may share `out` at one time, but not scenes.
+    Two runs may share `out` at one time, and scenes too.
     """
     for index in indices:
-        for folder in partial_folders(out / scene_name(settings, index)):
-            shutil.rmtree(folder, ignore_errors=True)
+        remove_partials(out / scene_name(settings, index))
     for pattern in (f".{settings.named()}-*.json", ".datasheet-*", ".preview-*.png"):
         for path in out.glob(pattern):
             path.unlink(missing_ok=True)

@@ -17,9 +17,20 @@ from sira_assets.scene.camera import OPENCV_FROM_OPENGL
 from sira_assets.scene.image import write_png
 
 
-def partial_folders(folder: Path) -> list[Path]:
-    """What interrupted writers of `folder` left beside it."""
-    return sorted(folder.parent.glob(f".{folder.name}.*.partial"))
+def is_whole(folder: Path) -> bool:
+    """Whether a scene stands at `folder`."""
+    return (folder / "transforms.json").is_file()
+
+
+def remove_partials(folder: Path) -> None:
+    """Remove what writers of `folder` have begun beside it, once the scene stands there.
+
+    A living writer then has nothing to lose. Before, it would go on in a folder made anew, and half a scene would take
+    the name.
+    """
+    if is_whole(folder):
+        for partial in folder.parent.glob(f".{folder.name}.*.partial"):
+            shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_scene(scene: SynthScene, folder: str | os.PathLike) -> None:
@@ -30,11 +41,11 @@ def write_scene(scene: SynthScene, folder: str | os.PathLike) -> None:
     folder = Path(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".partial"))
-    # mkdtemp makes folders private; give what the user's umask would have given.
-    umask = os.umask(0)
-    os.umask(umask)
-    partial.chmod(0o777 & ~umask)
     try:
+        # mkdtemp makes folders private; give what the user's umask would have given.
+        umask = os.umask(0)
+        os.umask(umask)
+        partial.chmod(0o777 & ~umask)
         write_frames(scene, partial)
         write_truth(scene, partial / "gt")
         if scene.relight is not None:
@@ -42,11 +53,10 @@ def write_scene(scene: SynthScene, folder: str | os.PathLike) -> None:
             write_light(light, partial / "relight", envmap=True)
             write_picture(rendering.image, partial / "relight" / "image", exr=True)
         write_json(partial / "transforms.json", transforms(scene))
-        try:
-            os.replace(partial, folder)
-        except OSError:
-            if not (folder / "transforms.json").is_file():
-                raise
+        os.replace(partial, folder)
+    except OSError:
+        if not is_whole(folder):
+            raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 

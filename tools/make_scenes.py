@@ -41,7 +41,8 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument(
         "--plain",
         action="store_true",
-        help="pass over heads with hats, scarves, beards, afros, and hair that hangs, is tied or hides the forehead",
+        help="pass over heads with hats, scarves, beards, afros, and hair that hangs, is tied or hides the forehead; "
+        "--count is of those left, so that runs with different --start may overlap, which costs time alone",
     )
     out.add_argument(
         "--crops", type=float, default=0.0, metavar="SHARE", help="of scenes that cut the head (default 0)"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import data_synth.write_scene
 from data_synth.cameras import CameraConfig, sample_cameras
 from data_synth.dataset import remove_leftovers
 from data_synth.light_rigs import sample_rig
@@ -160,13 +161,43 @@ def test_a_failure_leaves_nothing(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_leftovers_of_an_interrupted_run_are_removed(tmp_path):
-    (tmp_path / ".train_000001.x7.partial" / "images").mkdir(parents=True)
-    (tmp_path / ".train_000002.x7.partial" / "images").mkdir(parents=True)
+def test_leftovers_of_an_interrupted_run_are_removed_once_the_scenes_are_whole(tmp_path):
+    for index in (1, 2):
+        (tmp_path / f".train_00000{index}.x7.partial" / "images").mkdir(parents=True)
+    (tmp_path / "train_000001").mkdir()
+    (tmp_path / "train_000001" / "transforms.json").touch()
     (tmp_path / ".train-a0b1.json").touch()
-    remove_leftovers(tmp_path, SceneSettings(), range(1, 2))
-    # Another run may be at work on other scenes of the folder.
-    assert [p.name for p in tmp_path.iterdir()] == [".train_000002.x7.partial"]
+    remove_leftovers(tmp_path, SceneSettings(), range(1, 3))
+    # Another run may be at work on the other.
+    assert {p.name for p in tmp_path.iterdir()} == {"train_000001", ".train_000002.x7.partial"}
+
+
+def test_a_run_that_begins_or_ends_while_another_writes_the_same_scene_leaves_it_whole(
+    scene, folder, tmp_path, monkeypatch
+):
+    def interrupted(*arguments):
+        remove_leftovers(tmp_path, SceneSettings(), range(1))
+        write_truth(*arguments)
+
+    write_truth = data_synth.write_scene.write_truth
+    monkeypatch.setattr(data_synth.write_scene, "write_truth", interrupted)
+    write_scene(scene, tmp_path / "train_000000")
+    assert [p.name for p in tmp_path.iterdir()] == ["train_000000"]
+    written = {p.relative_to(tmp_path / "train_000000") for p in (tmp_path / "train_000000").rglob("*")}
+    assert written == {p.relative_to(folder) for p in folder.rglob("*")}
+
+
+def test_a_writer_whose_scene_another_run_has_finished_meanwhile_fails_at_nothing(scene, tmp_path, monkeypatch):
+    def overtaken(path, pixels):
+        monkeypatch.undo()
+        data_synth.write_scene.write_png(path, pixels)
+        write_scene(scene, tmp_path / "train_000000")
+        remove_leftovers(tmp_path, SceneSettings(), range(1))
+
+    monkeypatch.setattr(data_synth.write_scene, "write_png", overtaken)
+    write_scene(scene, tmp_path / "train_000000")
+    assert [p.name for p in tmp_path.iterdir()] == ["train_000000"]
+    assert read_scene(tmp_path / "train_000000").mask.any()
 
 
 def test_of_two_writers_of_one_scene_the_first_wins(scene, folder):

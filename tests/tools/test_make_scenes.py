@@ -151,6 +151,28 @@ def test_a_folder_begun_with_other_settings_is_refused(tmp_path):
         write_dataset(tmp_path, SceneSettings(views=3), range(1))
 
 
+@pytest.mark.parametrize("name", ["train_000000", "train_000000/notes"])
+def test_what_is_no_scene_under_a_scenes_name_is_refused(tmp_path, name):
+    from data_synth.dataset import write_dataset
+    from data_synth.scene_settings import SceneSettings
+    from sira_assets.errors import InputError
+
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).touch()
+    with pytest.raises(InputError, match="a scene, or nothing"):
+        write_dataset(tmp_path, SceneSettings(), range(1))
+    assert (tmp_path / name).is_file()
+
+
+@pytest.mark.slow
+def test_an_empty_folder_under_a_scenes_name_becomes_the_scene(egg, tmp_path):
+    (tmp_path / "egg_000000").mkdir()
+    result = make_scenes("--count", 1, "--out", tmp_path, "--from-scan", egg, "--preview", "--workers", 1, *SMALL)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "egg_000000" / "transforms.json").is_file()
+    assert (tmp_path / "preview.png").is_file()
+
+
 def test_train_and_eval_may_share_a_folder_but_never_a_random_stream(tmp_path):
     import numpy as np
 
