@@ -11,7 +11,7 @@ import numpy as np
 from data_synth.close_scan import closed_by_caps, oriented
 from data_synth.scan_back import widest_yaw
 from data_synth.scan_landmarks import ScanLandmarks, check_on_surface, read_scan_landmarks
-from data_synth.scan_mesh import ScanMesh, read_scan_mesh
+from data_synth.scan_mesh import ScanMesh
 from data_synth.scene_settings import ScanSource
 from data_synth.subject import Subject
 from sira_assets.errors import InputError
@@ -40,7 +40,7 @@ def scan_subject(source: ScanSource) -> Subject:
     ------
     InputError : a file cannot be read, the landmarks are not this face's, or the surface cannot be closed.
     """
-    scan = read_scan_mesh(source.mesh, source.texture, pieces=source.pieces)
+    scan = source.read()
     landmarks = read_scan_landmarks(source.landmarks)
     canonical_from_scan = canonical_from_landmarks(landmarks.nine)
     placed = landmarks.moved(lambda p: transform_points(canonical_from_scan, p))

@@ -4,6 +4,7 @@ Notation: U vertices as the file has them, split where a texture is cut; V welde
 """
 
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,13 @@ class ScanMesh:
             coordinates=self.coordinates[used],
             notes=(*self.notes, *notes),
         )
+
+    def digest(self) -> str:
+        """SHA-256 of the geometry, the coordinates and the pictures, hexadecimal."""
+        total = sha256()
+        for array in (self.vertices, self.faces, self.coordinates, *self.material.pictures):
+            total.update(b"\0" if array is None else f"{array.dtype} {array.shape} ".encode() + array.tobytes())
+        return total.hexdigest()
 
     def welded_vertices(self) -> np.ndarray:
         """(V, 3); of vertices that are one, the first."""

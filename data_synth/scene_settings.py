@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from data_synth.render import RenderConfig
+from data_synth.scan_mesh import ScanMesh, read_scan_mesh
 from data_synth.scene_light import PanoramaFile
 from sira_assets.errors import InputError
 
@@ -40,12 +41,21 @@ class ScanSource:
     metres_per_unit: float | None = None
     pieces: str = "all"
 
+    @lru_cache(maxsize=2)  # noqa: B019 - hashes by value, a few strings each
+    def read(self) -> ScanMesh:
+        """The mesh, cleaned; read once a process.
+
+        Raises
+        ------
+        InputError : as `read_scan_mesh`.
+        """
+        return read_scan_mesh(self.mesh, self.texture, pieces=self.pieces)
+
     @lru_cache(maxsize=8)  # noqa: B019 - hashes by value, a few strings each
     def digest(self) -> str:
-        """SHA-256 of the files and of what is done to them, hexadecimal; read once a process."""
-        total = sha256(f"{self.metres_per_unit} {self.pieces}".encode())
-        for path in (self.mesh, self.landmarks, self.texture):
-            total.update(b"\0" if path is None else sha256(Path(path).read_bytes()).digest())
+        """SHA-256 of what the files hold, those that the mesh names too, and of what is done to it; hexadecimal."""
+        total = sha256(f"{self.metres_per_unit} {self.pieces} {self.read().digest()}".encode())
+        total.update(sha256(Path(self.landmarks).read_bytes()).digest())
         return total.hexdigest()
 
 

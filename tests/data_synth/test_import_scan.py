@@ -1,6 +1,7 @@
 """A user's scan: any frame, unit, orientation, texture or opening gives the same head; what is hopeless is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,8 +67,6 @@ def test_frame_and_unit_of_the_file_do_not_matter(tmp_path):
 
 
 def test_size_is_taken_from_the_unit_and_a_wrong_unit_is_refused_with_the_right_one(tmp_path):
-    from dataclasses import replace
-
     vertices, faces = egg()
     landmarks = {n: 1100.0 * p for n, p in landmarks_on_egg().items()}
     source = write_scan(tmp_path, 1100.0 * vertices, faces, landmarks)
@@ -137,20 +136,50 @@ def test_texture_is_bilinear_with_its_origin_at_the_bottom_left():
     assert sample_bilinear(picture, np.array([[3.125, -0.75]]))[0] == pytest.approx([1, 1, 1])
 
 
-def test_a_cut_texture_leaves_the_surface_whole(tmp_path):
-    """An OBJ with a seam: vertices are split where the texture is, normals and closedness are the welded surface's."""
-    vertices, faces = egg(3)
-    Image.fromarray(np.full((8, 8, 3), [188, 124, 99], np.uint8)).save(tmp_path / "skin.png")
-    (tmp_path / "egg.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+def write_textured(folder, vertices, faces, colour) -> ScanSource:
+    """An OBJ whose texture is cut at every edge."""
+    folder.mkdir(exist_ok=True)
+    Image.fromarray(np.full((8, 8, 3), colour, np.uint8)).save(folder / "skin.png")
+    (folder / "egg.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     corner_uv = np.random.default_rng(0).random((3 * len(faces), 2))
     lines = ["mtllib egg.mtl", *(f"v {x} {y} {z}" for x, y, z in vertices), *(f"vt {u} {v}" for u, v in corner_uv)]
     lines.append("usemtl skin")
     for k, face in enumerate(faces):
         lines.append("f " + " ".join(f"{v + 1}/{3 * k + c + 1}" for c, v in enumerate(face)))
-    (tmp_path / "egg.obj").write_text("\n".join(lines))
+    (folder / "egg.obj").write_text("\n".join(lines))
     points = {n: p.tolist() for n, p in landmarks_on_egg().items()}
-    (tmp_path / "landmarks.json").write_text(json.dumps({"landmarks_m": points}))
-    subject = scan_subject(ScanSource("egg", str(tmp_path / "egg.obj"), str(tmp_path / "landmarks.json")))
+    (folder / "landmarks.json").write_text(json.dumps({"landmarks_m": points}))
+    return ScanSource("egg", str(folder / "egg.obj"), str(folder / "landmarks.json"))
+
+
+def test_the_fingerprint_is_of_the_pictures_that_a_mesh_names_too(tmp_path):
+    colours = {"one": [188, 124, 99], "copy": [188, 124, 99], "other": [188, 124, 98]}
+    digest = {n: write_textured(tmp_path / n, *egg(2), colour).digest() for n, colour in colours.items()}
+    assert digest["one"] == digest["copy"] != digest["other"]
+
+
+def test_the_fingerprint_is_of_geometry_in_another_file_too(tmp_path):
+    import trimesh
+
+    vertices, faces = egg(2)
+    inner = int(np.abs((vertices - CENTRE) / AXES).max(1).argmin())  # leaves the bounds, which the glTF itself says
+    digest = {}
+    for name, factor in (("one", 1.0), ("copy", 1.0), ("other", 1.001)):
+        moved = vertices.copy()
+        moved[inner] = CENTRE + factor * (moved[inner] - CENTRE)
+        source = write_scan(tmp_path, moved, faces, landmarks_on_egg())
+        (tmp_path / name).mkdir()
+        for file, data in trimesh.Trimesh(moved, faces, process=False).export(file_type="gltf").items():
+            (tmp_path / name / file).write_bytes(data)
+        digest[name] = replace(source, mesh=str(tmp_path / name / "model.gltf")).digest()
+    assert (tmp_path / "one" / "model.gltf").read_bytes() == (tmp_path / "other" / "model.gltf").read_bytes()
+    assert digest["one"] == digest["copy"] != digest["other"]
+
+
+def test_a_cut_texture_leaves_the_surface_whole(tmp_path):
+    """An OBJ with a seam: vertices are split where the texture is, normals and closedness are the welded surface's."""
+    vertices, faces = egg(3)
+    subject = scan_subject(write_textured(tmp_path, vertices, faces, [188, 124, 99]))
     assert len(subject.mesh.vertices) == len(vertices)
     assert len(subject.rendered.vertices) > 3 * len(vertices)
     assert subject.closed is subject.mesh
