@@ -20,6 +20,7 @@ from data_synth.scene_settings import SceneSettings, scene_name
 from data_synth.write_scene import is_whole, remove_partials, write_scene
 from sira_assets.atomic import write_text
 from sira_assets.errors import InputError
+from sira_assets.scene.landmarks import read_json
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -98,12 +99,23 @@ def _run_in_processes(out: Path, settings: SceneSettings, missing: list[int], wo
 
 
 def claim_folder(out: Path, settings: SceneSettings) -> None:
-    """Say in `out` how its scenes of this kind are made, or raise InputError if they are made in another way."""
+    """Say in `out` how its scenes of this kind are made.
+
+    Raises
+    ------
+    InputError : they are made in another way, or what is said cannot be read.
+    """
     path, wanted = out / f"{settings.named()}.json", settings.described()
     if not path.exists():
         write_text(path, json.dumps(wanted, indent=1) + "\n")
         return
-    held = json.loads(path.read_text())
+    held = read_json(path)
+    if not isinstance(held, dict):
+        raise InputError(
+            expected=f"a data set's settings in {path}",
+            received="other JSON",
+            remedy="move it away if it is another file, or give another --out",
+        )
     if held != wanted:
         differing = ", ".join(f"{k} {held.get(k)}" for k, v in wanted.items() if held.get(k) != v)
         raise InputError(

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from sira_assets.atomic import write_text
+from sira_assets.errors import InputError
 from sira_assets.numerics.colour import luminance, srgb_from_linear
 from sira_assets.scene.camera import OPENCV_FROM_OPENGL
 from sira_assets.scene.canonical import similarity_scale, transform_points
 from sira_assets.scene.exr import read_exr
 from sira_assets.scene.image import read_image, read_mask
+from sira_assets.scene.landmarks import read_json
 
 FULL_FRAME_MM = 36.0  # width of the picture that 35 mm equivalent focal lengths refer to
 CHEEKS_M = 0.035  # around the nose tip: mostly bare skin, whoever it is
@@ -78,10 +80,13 @@ def tally(name: str, words: list[str]) -> Tally:
 
 
 def describe(folder: Path) -> Datasheet:
-    """Read all scenes in `folder`; a function of their bytes alone."""
-    scenes = sorted(path.parent for path in folder.glob("*/transforms.json"))
+    """Read all scenes in `folder` that the generator made; a function of their bytes alone."""
+    scenes = sorted(
+        path.parent for path in folder.glob("[!.]*/transforms.json") if (path.parent / "gt/provenance.json").is_file()
+    )
     rows = [_read(scene) for scene in scenes]
-    settings = {p.stem: json.loads(p.read_text()) for p in sorted(folder.glob("*.json")) if p.name != "datasheet.json"}
+    found = {path.stem: _settings(path) for path in sorted(folder.glob("[!.]*.json"))}
+    settings = {name: data for name, data in found.items() if data is not None}
     light = (
         tally("light rig", [row.rig for row in rows]),
         distribution("lobes a scene", "", [len(row.sharpness) for row in rows]),
@@ -128,6 +133,15 @@ class _Row:
     ita: float
     albedo: float
     head: dict
+
+
+def _settings(path: Path) -> dict | None:
+    """A data set's settings; None for any other file."""
+    try:
+        data = read_json(path)
+    except InputError:
+        return None
+    return data if isinstance(data, dict) and {"kind", "generator"} <= data.keys() else None
 
 
 def _read(scene: Path) -> _Row:

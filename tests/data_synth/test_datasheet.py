@@ -79,7 +79,7 @@ def scene_on_disk(folder, name, *, yaw_deg, rig, hair):
 def test_a_folder_is_described_from_its_scenes(tmp_path):
     scene_on_disk(tmp_path, "train_000001", yaw_deg=30.0, rig="studio", hair="bob")
     scene_on_disk(tmp_path, "train_000000", yaw_deg=-30.0, rig="window", hair="bob")
-    (tmp_path / "train.json").write_text(json.dumps({"kind": "train", "seed": 7}))
+    (tmp_path / "train.json").write_text(json.dumps({"kind": "train", "seed": 7, "generator": "0"}))
     sheet = write_datasheet(tmp_path)
     assert (sheet.scenes, sheet.pictures) == (2, 2)
     found = {figure.name: figure for group in sheet.by_group.values() for figure in group}
@@ -103,3 +103,20 @@ def test_a_folder_is_described_from_its_scenes(tmp_path):
     write_datasheet(tmp_path)
     assert before == ((tmp_path / "datasheet.html").read_text(), (tmp_path / "datasheet.json").read_bytes())
     assert isinstance(found["melanin"], Distribution)
+
+
+def test_what_is_no_data_set_is_passed_over(tmp_path):
+    scene_on_disk(tmp_path, "egg_000000", yaw_deg=0.0, rig="studio", hair="bob")
+    scene_on_disk(tmp_path, ".egg_000001.x7.partial", yaw_deg=0.0, rig="studio", hair="bob")
+    (tmp_path / "photo").mkdir()
+    (tmp_path / "photo" / "transforms.json").write_text("{}")
+    (tmp_path / "egg.json").write_text(json.dumps({"kind": "scan", "generator": "0"}))
+    (tmp_path / "landmarks.json").write_text(json.dumps({"landmarks_m": {"nose_tip": [0, 0, 0]}}))
+    (tmp_path / "list.json").write_text("[1, 2]")
+    (tmp_path / "empty.json").touch()
+    sheet = write_datasheet(tmp_path)
+    assert sheet.scenes == 1
+    assert list(sheet.settings) == ["egg"]
+    page = (tmp_path / "datasheet.html").read_text()
+    assert "the user of the generator brought" in page
+    assert "no person" not in page

@@ -151,6 +151,18 @@ def test_a_folder_begun_with_other_settings_is_refused(tmp_path):
         write_dataset(tmp_path, SceneSettings(views=3), range(1))
 
 
+@pytest.mark.parametrize("content", ["", "[1, 2]", "{", "\0"])
+def test_damaged_settings_of_a_folder_are_refused_in_one_line(tmp_path, content):
+    from data_synth.dataset import claim_folder
+    from data_synth.scene_settings import SceneSettings
+    from sira_assets.errors import InputError
+
+    (tmp_path / "train.json").write_text(content)
+    with pytest.raises(InputError, match=r"train\.json"):
+        claim_folder(tmp_path, SceneSettings())
+    assert (tmp_path / "train.json").read_text() == content
+
+
 @pytest.mark.parametrize("name", ["train_000000", "train_000000/notes"])
 def test_what_is_no_scene_under_a_scenes_name_is_refused(tmp_path, name):
     from data_synth.dataset import write_dataset
