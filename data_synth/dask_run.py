@@ -22,10 +22,13 @@ def run_on_dask(
     Raises
     ------
     MissingExtraError : Dask is not installed.
-    InputError : no scheduler or no worker answers, or a worker cannot see `out` or has another generator.
+    InputError : no scheduler or no worker answers, or a worker cannot see `out`, has another generator or was killed
+        over and over.
     """
+    from data_synth.dataset import killed_worker
+
     try:
-        from distributed import Client, as_completed
+        from distributed import Client, KilledWorker, as_completed
     except ImportError:
         raise MissingExtraError("dask[distributed]", "cluster") from None
     try:
@@ -45,8 +48,10 @@ def run_on_dask(
         try:
             for _, result in as_completed(futures, with_results=True):
                 on_scene(*result)
-        except BaseException:
+        except BaseException as error:
             client.cancel(futures, force=True)
+            if isinstance(error, KilledWorker):
+                raise killed_worker() from None
             raise
 
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -49,7 +50,8 @@ def write_dataset(
 
     Raises
     ------
-    InputError : `out` holds a data set made with other settings, or something else under a scene's name; workers < 1.
+    InputError : `out` holds a data set made with other settings, or something else under a scene's name; workers < 1;
+        a worker was killed.
     """
     out = Path(out).resolve()
     if workers < 1:
@@ -65,7 +67,10 @@ def write_dataset(
 
         run_on_dask(scheduler, out, settings, missing, on_scene)
     elif missing:
-        _run_in_processes(out, settings, missing, workers, on_scene)
+        try:
+            _run_in_processes(out, settings, missing, workers, on_scene)
+        except BrokenProcessPool:
+            raise killed_worker() from None
     remove_leftovers(out, settings, indices)
     return len(missing)
 
@@ -81,6 +86,15 @@ def _is_there(folder: Path) -> bool:
             remedy="move it away, or give another --out",
         )
     return False
+
+
+def killed_worker() -> InputError:
+    """What to say of a worker that ended before its scene did."""
+    return InputError(
+        expected="workers that live until their scenes are written",
+        received="one that was killed, most likely for want of memory",
+        remedy="use fewer --workers, fewer --views or a smaller --size: what is whole stays",
+    )
 
 
 def _run_in_processes(out: Path, settings: SceneSettings, missing: list[int], workers: int, on_scene) -> None:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -66,6 +67,40 @@ def test_a_dask_cluster_gives_the_same_bytes_as_processes(egg, tmp_path):
     first, second = contents(tmp_path / "processes"), contents(tmp_path / "cluster")
     assert first.keys() == second.keys()
     assert [name for name in first if first[name] != second[name]] == []
+
+
+def test_a_killed_worker_is_refused_in_one_line_that_speaks_of_memory(tmp_path):
+    from data_synth.dataset import write_dataset
+    from data_synth.scene_settings import SceneSettings
+    from sira_assets.errors import InputError
+
+    class Deadly(SceneSettings):
+        """Settings that kill the process that receives them, as a system short of memory does."""
+
+        def __reduce__(self):
+            return signal.raise_signal, (signal.SIGKILL,)
+
+    with pytest.raises(InputError, match="killed, most likely for want of memory"):
+        write_dataset(tmp_path, Deadly(), range(2), workers=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["train.json"]
+
+
+@pytest.mark.slow
+def test_a_cluster_whose_workers_are_killed_is_refused_in_the_same_words(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    import dask
+
+    from data_synth import dask_run
+    from data_synth.scene_settings import SceneSettings
+    from sira_assets.errors import InputError
+
+    monkeypatch.setattr(dask_run, "write_on_worker", lambda *arguments: signal.raise_signal(signal.SIGKILL))
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(n_workers=1, processes=True, dashboard_address=None, silence_logs=50) as cluster,
+        pytest.raises(InputError, match="killed, most likely for want of memory"),
+    ):
+        dask_run.run_on_dask(cluster.scheduler_address, tmp_path, SceneSettings(), [0], lambda name, seconds: None)
 
 
 def test_without_dask_one_line_names_the_extra(monkeypatch, tmp_path):
