@@ -3,6 +3,7 @@
 Notation: a scene is a function of (settings, index) alone; each of its parts has its own random stream.
 """
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +12,13 @@ from data_synth.cameras import CameraConfig, sample_cameras, sample_world_from_c
 from data_synth.head.cover_params import is_plain
 from data_synth.occluders import sample_occluder
 from data_synth.one_thread import one_thread
-from data_synth.render import Occluder, RayScene, RenderConfig, Surface, render
+from data_synth.render import Occluder, RayScene, RenderConfig, Rendering, Surface, render
 from data_synth.scan_back import without_back
 from data_synth.scene_light import sample_scene_light
 from data_synth.scene_settings import SceneSettings
 from data_synth.subject import SkinTone, Subject, procedural_subject
+from data_synth.synth_scene import Frame, SynthScene
 from data_synth.truth import full_truth
-from data_synth.write_scene import SynthScene
 from sira_assets.errors import InputError
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.scene.camera import Camera
@@ -92,10 +93,15 @@ def draw_scene(settings: SceneSettings, index: int, *, tone: SkinTone | None = N
         occluder = _held_before(rng_pose, subject, cameras[0], world_from_canonical)
     rays = RayScene(Surface(rendered, subject.material_coordinates, subject.material, roughness, occluder))
     config = RenderConfig(settings.samples, settings.supersample)
-    renderings = [render(rays, camera, first.rendered, rng_render, config) for camera in cameras]
-    if closed is not mesh:
-        caster = Raycaster(mesh)
-        renderings = [without_back(r, c, caster, mesh) for r, c in zip(renderings, cameras, strict=True)]
+    caster = None if closed is mesh else Raycaster(mesh)
+
+    def seen_by(camera: Camera) -> Rendering:
+        out = render(rays, camera, first.rendered, rng_render, config)
+        return out if caster is None else without_back(out, camera, caster, mesh)
+
+    portrait = seen_by(cameras[0])
+    others = (seen_by(camera) for camera in cameras[1:])
+    frames = [Frame(rendering.image, rendering.mask) for rendering in itertools.chain([portrait], others)]
     relight = None
     if settings.kind == "eval":
         relight = (second.gaussians, render(rays, cameras[0], second.rendered, rng_render, config))
@@ -111,7 +117,8 @@ def draw_scene(settings: SceneSettings, index: int, *, tone: SkinTone | None = N
         closed=closed,
         vertex_albedo=subject.vertex_albedo,
         cameras=cameras,
-        renderings=renderings,
+        frames=frames,
+        portrait=portrait,
         light=light,
         envmap=first.envmap,
         roughness=roughness,

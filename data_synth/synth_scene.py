@@ -14,6 +14,14 @@ from sira_assets.scene.sg_light import SGLight
 
 
 @dataclass(frozen=True)
+class Frame:
+    """What every frame is kept of: image (H, W, 3) float32 linear, mask (H, W) bool. Its maps are ten times as much."""
+
+    image: np.ndarray
+    mask: np.ndarray
+
+
+@dataclass(frozen=True)
 class SynthScene:
     """All of a synthetic scene, in its world.
 
@@ -21,8 +29,9 @@ class SynthScene:
     ----------
     mesh : world metres; vertex_albedo (V, 3) linear
     closed : watertight, its first faces those of `mesh`; `mesh` itself where that is closed
-    cameras, renderings : one of each a frame; all cameras have the same intrinsics
-    light, roughness : what the renderings were made with; under a panorama, the gaussians that stand for it
+    cameras, frames : one of each a frame; all cameras have the same intrinsics
+    portrait : frame 0 with all its maps
+    light, roughness : what the frames were rendered with; under a panorama, the gaussians that stand for it
     envmap : the panorama, exactly as rendered, or None where `light` is exact
     canonical_from_world : (4, 4) similarity
     landmarks_world : the nine names of the canonical frame -> (3,)
@@ -36,7 +45,8 @@ class SynthScene:
     closed: TriangleMesh
     vertex_albedo: np.ndarray
     cameras: list[Camera]
-    renderings: list[Rendering]
+    frames: list[Frame]
+    portrait: Rendering
     light: SGLight
     envmap: EnvironmentMap | None
     roughness: float

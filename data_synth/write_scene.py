@@ -92,9 +92,9 @@ def transforms(scene: SynthScene) -> dict:
 
 def write_frames(scene: SynthScene, folder: Path) -> None:
     """Pictures and masks of all frames, and frame 0's again as the portrait; EXR only with the full truth."""
-    for index, rendering in enumerate(scene.renderings):
-        write_picture(rendering.image, folder / "images" / f"{index:03d}", exr=scene.full is not None)
-        write_png(folder / "masks" / f"{index:03d}.png", rendering.mask)
+    for index, frame in enumerate(scene.frames):
+        write_picture(frame.image, folder / "images" / f"{index:03d}", exr=scene.full is not None)
+        write_png(folder / "masks" / f"{index:03d}.png", frame.mask)
     for suffix in (".png", ".exr") if scene.full is not None else (".png",):
         shutil.copyfile(folder / "images" / f"000{suffix}", folder / f"image{suffix}")
     shutil.copyfile(folder / "masks" / "000.png", folder / "mask.png")

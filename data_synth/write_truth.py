@@ -29,7 +29,7 @@ TRAIN_MAPS = ("albedo", "specular", "alpha")
 
 def write_truth(scene: SynthScene, folder: Path) -> None:
     """Write all that `scene` knows: the full truth where it has one, else what training reads."""
-    rendering = scene.renderings[0]
+    rendering = scene.portrait
     maps = {
         "albedo": rendering.albedo,
         "specular": rendering.specular,

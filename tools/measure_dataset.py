@@ -276,7 +276,7 @@ def measure_noise(arguments: argparse.Namespace, index: int) -> NoiseFigures:
 
     mi = load_mitsuba(1)
     scene = draw_scene(SceneSettings(size=arguments.size, views=1, samples=8, truth="train"), index)
-    camera, mask = scene.cameras[0], scene.renderings[0].mask
+    camera, mask = scene.cameras[0], scene.portrait.mask
 
     def white(x):
         return np.ones_like(x), np.full(len(x), 0.03)

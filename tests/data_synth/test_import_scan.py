@@ -301,6 +301,29 @@ def test_landmark_files_of_every_form_agree(tmp_path):
         read_scan_landmarks(tmp_path / "seven.pp")
 
 
+def test_another_view_costs_a_scene_its_picture_and_mask_alone(tmp_path):
+    import tracemalloc
+
+    from data_synth.draw_scene import draw_scene
+    from data_synth.scene_settings import SceneSettings
+
+    source = write_scan(tmp_path, *egg(3), landmarks_on_egg())
+
+    def held(views):
+        settings = SceneSettings(kind="scan", scan=source, views=views, size=64, samples=1, truth="train")
+        draw_scene(settings, 0)  # tables and the scan are kept from the first scene on
+        tracemalloc.start()
+        try:
+            scene = draw_scene(settings, 0)
+            assert len(scene.cameras) == views
+            return tracemalloc.get_traced_memory()[0]
+        finally:
+            tracemalloc.stop()
+
+    # 13 bytes a pixel: three floats and a bool; so many again for the camera and lists. All maps have 125.
+    assert (held(5) - held(1)) / (4 * 64**2) < 26
+
+
 @pytest.mark.slow
 def test_training_reads_a_real_scan(real_data, tmp_path):
     """A bust open at the neck, with vertex colours, separate eyes and 68 landmarks."""

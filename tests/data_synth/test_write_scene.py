@@ -12,7 +12,7 @@ from data_synth.dataset import remove_leftovers
 from data_synth.light_rigs import sample_rig
 from data_synth.render import RayScene, RenderConfig, Surface, render
 from data_synth.scene_settings import SceneSettings
-from data_synth.synth_scene import SynthScene
+from data_synth.synth_scene import Frame, SynthScene
 from data_synth.truth import BACKGROUND, full_truth
 from data_synth.write_scene import write_scene
 from data_synth.write_truth import ply_bytes
@@ -54,7 +54,8 @@ def scene() -> SynthScene:
         closed=mesh,
         vertex_albedo=np.broadcast_to(ALBEDO, x.shape),
         cameras=cameras,
-        renderings=renderings,
+        frames=[Frame(rendering.image, rendering.mask) for rendering in renderings],
+        portrait=renderings[0],
         light=light,
         envmap=None,
         roughness=0.4,
@@ -81,23 +82,23 @@ def test_the_reader_gives_back_camera_mask_picture_and_head_frame(scene, folder)
     assert portrait.camera.intrinsics == pytest.approx(scene.cameras[0].intrinsics, rel=1e-12)
     assert portrait.canonical_from_world == pytest.approx(scene.canonical_from_world, abs=1e-12)
     assert similarity_scale(portrait.canonical_from_world) == pytest.approx(1 / 1.07)
-    assert np.array_equal(portrait.mask, scene.renderings[0].mask)
-    unclipped = scene.renderings[0].image.max(-1) < 1
+    assert np.array_equal(portrait.mask, scene.portrait.mask)
+    unclipped = scene.portrait.image.max(-1) < 1
     # Half of an 8-bit step, at the steepest place of the sRGB curve's inverse.
-    assert np.abs(portrait.image_linear - scene.renderings[0].image)[unclipped].max() < 0.5 / 255 * 2.4
+    assert np.abs(portrait.image_linear - scene.portrait.image)[unclipped].max() < 0.5 / 255 * 2.4
 
 
 def test_all_frames_are_found_with_their_pictures_and_masks(scene, folder):
     frames = read_frames(folder)
     assert len(frames) == 3
-    for frame, camera, rendering in zip(frames, scene.cameras, scene.renderings, strict=True):
+    for frame, camera, rendered in zip(frames, scene.cameras, scene.frames, strict=True):
         assert frame.camera.world_from_camera == pytest.approx(camera.world_from_camera, abs=1e-12)
-        assert np.array_equal(read_mask(frame.mask_path), rendering.mask)
-        assert np.array_equal(read_image(frame.image_path.with_suffix(".exr")).linear, rendering.image)
+        assert np.array_equal(read_mask(frame.mask_path), rendered.mask)
+        assert np.array_equal(read_image(frame.image_path.with_suffix(".exr")).linear, rendered.image)
 
 
 def test_truth_is_written_as_it_was_rendered(scene, folder):
-    first = scene.renderings[0]
+    first = scene.portrait
     for name, expected in (
         ("gt/albedo", first.albedo),
         ("gt/specular", first.specular),
@@ -211,9 +212,9 @@ def test_full_truth_reads_back(scene, folder):
     full = scene.full
     for k in range(len(scene.light)):
         assert np.array_equal(read_exr(folder / "gt" / "visibility" / f"{k:03d}.exr"), full.visibility[k])
-    for k, rendering in enumerate(scene.renderings):
+    for k, frame in enumerate(scene.frames):
         region = np.asarray(Image.open(folder / "gt" / "regions" / f"{k:03d}.png"))
-        assert np.array_equal(region != BACKGROUND, rendering.mask)
+        assert np.array_equal(region != BACKGROUND, frame.mask)
     assert json.loads((folder / "gt" / "regions.json").read_text()) == {"0": "back", "1": "front"}
     with np.load(folder / "gt" / "sdf.npz") as data:
         assert np.array_equal(data["points_m"], full.sdf_points_world)
