@@ -67,10 +67,25 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def fit_heads(arguments: argparse.Namespace) -> int:
-    """Fit each head, print its line, then the variation between landmarks."""
+    """Fit each head, print its line, then the variation between landmarks.
+
+    Raises
+    ------
+    InputError : two heads would be written to one file.
+    """
     import numpy as np
     from _generator_fit import between_landmarks, random_between, region_table
 
+    from sira_assets.errors import InputError
+
+    names = [folder.resolve().name for folder in arguments.heads]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if arguments.meshes and twice:
+        raise InputError(
+            expected="heads in folders of different names with --meshes, which calls each head's file after its folder",
+            received=f"several called {', '.join(twice)}",
+            remedy="rename them, or fit them in runs with another --meshes",
+        )
     figures, fitted = [], []
     for folder in arguments.heads:
         f, fit = fit_head(folder, arguments.samples)

@@ -101,6 +101,14 @@ def test_population_holds_its_bounds(tool):
     assert found.overlap > 0.85
 
 
+def test_heads_of_one_name_are_refused_before_any_is_fitted(tool, tmp_path, capsys):
+    """Written to one folder, the second would replace the first."""
+    fit_generator = importlib.import_module("fit_generator")
+    heads = [str(tmp_path / parent / "head") for parent in "ab"]
+    assert fit_generator.main([*heads, "--meshes", str(tmp_path / "meshes")]) == 3
+    assert "several called head" in capsys.readouterr().err
+
+
 def test_a_folder_without_a_head_is_refused(tmp_path):
     line = [sys.executable, str(TOOLS / "fit_generator.py"), str(tmp_path)]
     done = subprocess.run(line, capture_output=True, text=True, timeout=120, check=False)
