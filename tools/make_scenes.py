@@ -24,7 +24,9 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--count", type=int, required=True, metavar="N", help="scenes to have, from --start on")
     out.add_argument("--out", type=Path, default=Path("scenes"), metavar="DIR", help="folder of scenes; made if absent")
     out.add_argument("--start", type=int, default=0, metavar="INDEX", help="index of the first scene (default 0)")
-    out.add_argument("--kind", choices=("train", "eval"), default="train", help="eval heads are never train heads")
+    out.add_argument(
+        "--kind", choices=("train", "eval"), help="eval heads are never train heads (default train; none of a scan)"
+    )
     out.add_argument("--seed", type=int, default=0, help="default 0")
     out.add_argument("--views", type=int, default=8, help="pictures a scene, the first a portrait (default 8)")
     out.add_argument("--size", type=int, default=256, help="width and height in pixels (default 256)")
@@ -65,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
     scan.add_argument("--scan-landmarks", type=Path, metavar="FILE", help="default: landmarks.json beside MESH")
     scan.add_argument("--scan-texture", type=Path, metavar="PICTURE", help="default: what MESH names, or its colours")
     scan.add_argument("--scan-name", metavar="NAME", help="scenes' name (default: MESH's, or its folder's)")
-    scan.add_argument("--scan-pieces", choices=("all", "largest"), default="all", help="default: all but dust")
+    scan.add_argument("--scan-pieces", choices=("all", "largest"), help="default: all but dust")
     scan.add_argument(
         "--metres-per-unit", type=float, metavar="M", help="length of MESH's unit (default: the mean head's size)"
     )
@@ -83,18 +85,25 @@ def scan_source(arguments: argparse.Namespace):
 
     Raises
     ------
-    InputError : options of a scan without one, or a name that makes no folder.
+    InputError : options of a scan without one or of other heads with one, or a name that makes no folder.
     """
     from data_synth.scene_settings import ScanSource
     from sira_assets.errors import InputError
 
     mesh = arguments.from_scan
     if mesh is None:
-        given = [n for n in ("scan_landmarks", "scan_texture", "scan_name", "metres_per_unit") if getattr(arguments, n)]
+        names = ("scan_landmarks", "scan_texture", "scan_name", "scan_pieces", "metres_per_unit")
+        given = [name for name in names if getattr(arguments, name) is not None]
         if given:
             option = "--" + given[0].replace("_", "-")
             raise InputError(expected=f"--from-scan MESH with {option}", received="none", remedy="give the mesh")
         return None
+    if arguments.kind is not None:
+        raise InputError(
+            expected="either --kind or --from-scan",
+            received=f"--kind {arguments.kind} with a scan",
+            remedy="leave one of them away",
+        )
     mesh = mesh.resolve()
     name = arguments.scan_name or (mesh.parent.name if mesh.stem in ("mesh", "scan", "model") else mesh.stem)
     if not name.replace("-", "").replace("_", "").isalnum() or name in ("train", "eval", "datasheet"):
@@ -121,7 +130,7 @@ def scan_source(arguments: argparse.Namespace):
         landmarks=str(landmarks.resolve()),
         texture=None if arguments.scan_texture is None else str(arguments.scan_texture.resolve()),
         metres_per_unit=arguments.metres_per_unit,
-        pieces=arguments.scan_pieces,
+        pieces=arguments.scan_pieces or "all",
     )
 
 
@@ -165,7 +174,7 @@ def make_scenes(arguments: argparse.Namespace) -> int:
             remedy="give such numbers",
         )
     settings = SceneSettings(
-        kind=arguments.kind if arguments.from_scan is None else "scan",
+        kind="scan" if arguments.from_scan is not None else arguments.kind or "train",
         seed=arguments.seed,
         views=arguments.views,
         size=arguments.size,

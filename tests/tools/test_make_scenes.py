@@ -92,6 +92,9 @@ def test_gaussians_of_a_panorama_do_not_depend_on_the_number_of_threads(tool, tm
     ("arguments", "words"),
     [
         (("--scan-texture", "x.png"), "--from-scan MESH with --scan-texture"),
+        (("--scan-pieces", "all"), "--from-scan MESH with --scan-pieces"),
+        (("--metres-per-unit", "0"), "--from-scan MESH with --metres-per-unit"),
+        (("--from-scan", "EGG", "--kind", "eval"), "either --kind or --from-scan"),
         (("--from-scan", "nowhere.ply"), "no such file"),
         (("--from-scan", "EGG", "--scan-name", "a/b"), "a name of letters"),
         (("--from-scan", "EGG", "--metres-per-unit", "-1"), "a positive --metres-per-unit"),
