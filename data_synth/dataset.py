@@ -143,7 +143,7 @@ def claim_folder(out: Path, settings: SceneSettings) -> None:
 def remove_leftovers(out: Path, settings: SceneSettings, indices: Sequence[int]) -> None:
     """Remove what killed runs had begun of this data set's own files, and of these scenes where they are whole by now.
 
-    Two runs may share `out` at one time, and scenes too.
+    Two runs may share scenes; one that ends while another writes such a file of its own takes it away.
     """
     for index in indices:
         remove_partials(out / scene_name(settings, index))

@@ -111,7 +111,7 @@ def draw_scene(settings: SceneSettings, index: int, *, tone: SkinTone | None = N
         full = full_truth(
             rays, cameras, light, mesh, closed, subject.regions, names, rng_truth, directions=settings.samples
         )
-        full = replace(full, visibility=full.visibility * renderings[0].mask)
+        full = replace(full, visibility=full.visibility * portrait.mask)
     return SynthScene(
         mesh=mesh,
         closed=closed,

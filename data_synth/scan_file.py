@@ -51,7 +51,9 @@ def uv_of(part):
 def picture_of(part):
     """The Pillow picture that a part's material names, or None."""
     material = getattr(part.visual, "material", None)
-    picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if (picture := getattr(material, "baseColorTexture", None)) is not None:
+        return picture
+    picture = getattr(material, "image", None)
     # trimesh gives texture coordinates without a material four grey pixels that come from no file.
     return None if picture is None or (picture.format is None and picture.size == (2, 2)) else picture
 

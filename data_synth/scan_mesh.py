@@ -45,16 +45,14 @@ class ScanMesh:
         )
 
     def digest(self) -> str:
-        """SHA-256 of the geometry, the coordinates and the pictures, hexadecimal."""
+        """SHA-256 of the geometry, the coordinates and the pictures, hexadecimal.
+
+        Coordinates hold decoded colours, whose last bits differ between processors: they count to six decimals.
+        """
         total = sha256()
-        for array in (self.vertices, self.faces, self.coordinates, *self.material.pictures):
+        for array in (self.vertices, self.faces, np.round(self.coordinates, 6) + 0.0, *self.material.pictures):
             total.update(b"\0" if array is None else f"{array.dtype} {array.shape} ".encode() + array.tobytes())
         return total.hexdigest()
-
-    def welded_vertices(self) -> np.ndarray:
-        """(V, 3); of vertices that are one, the first."""
-        _, first = np.unique(self.weld, return_index=True)
-        return self.vertices[first]
 
 
 def read_scan_mesh(path: str | Path, texture: str | Path | None = None, *, pieces: str = "all") -> ScanMesh:

@@ -129,7 +129,7 @@ def run_stages(
                 load_checkpoint(checkpoint.path, {"state": state}, optimiser, checkpoint.key)
             guard = GuardedOptimiser(optimiser)
             made, entered = 0, done - start
-            work = [s.work * s.steps for s in stages[number:]]
+            work = [s.work * s.steps for s in stages[number:] if s.steps]
             for p in progress(stage.steps, first=done - start, pace=pace, work=work):
                 # Exact where there is no pace: the step that p was made from.
                 step = int(p * stage.steps + 1e-6)

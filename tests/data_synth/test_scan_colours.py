@@ -35,9 +35,9 @@ def write_picture(path, colour, **options):
     Image.new("RGB", (8, 8), tuple(colour)).save(path, **options)
 
 
-def png(colour, **options) -> bytes:
+def png(colour, size=8, **options) -> bytes:
     data = io.BytesIO()
-    Image.new("RGB", (8, 8), tuple(colour)).save(data, "PNG", **options)
+    Image.new("RGB", (size, size), tuple(colour)).save(data, "PNG", **options)
     return data.getvalue()
 
 
@@ -141,9 +141,10 @@ def test_colours_of_gltf_vertices_are_linear_and_times_the_factor(tmp_path, kind
     assert scan.notes == ()
 
 
-def test_a_gltf_texture_is_times_factor_and_vertex_colours(tmp_path):
+@pytest.mark.parametrize("size", [8, 2, 1])
+def test_a_gltf_texture_is_times_factor_and_vertex_colours(tmp_path, size):
     colours = by_place(VERTICES).astype(np.float32)
-    write_glb(tmp_path / "egg.glb", colours=colours, factor=[1.0, 0.6, 0.2], picture=png(GREY))
+    write_glb(tmp_path / "egg.glb", colours=colours, factor=[1.0, 0.6, 0.2], picture=png(GREY, size))
     scan, albedo = albedo_of(tmp_path / "egg.glb")
     assert np.allclose(albedo, HALF * by_place(scan.vertices) * [1.0, 0.6, 0.2], atol=1e-6)
     write_picture(tmp_path / "own.png", GREY)

@@ -22,7 +22,7 @@ def test_a_scene_needs_no_landmark_in_particular(tmp_path, left_out):
     source = write_scan(tmp_path, *egg(2), points)
     settings = SceneSettings(kind="scan", views=1, size=16, samples=1, truth="train", scan=source)
     scene = draw_scene(settings, 0)
-    assert scene.renderings[0].image.max() > 0
+    assert scene.portrait.image.max() > 0
     assert set(scene.landmarks_world) == set(points)
 
 
@@ -33,7 +33,7 @@ def test_visibility_is_zero_beside_the_mask(tmp_path):
     settings = SceneSettings(kind="scan", views=1, size=32, samples=1, scan=source, occluders=1.0)
     for index in range(4):
         scene = draw_scene(settings, index)
-        mask = scene.renderings[0].mask
+        mask = scene.portrait.mask
         assert (scene.full.visibility[:, mask] > 0).any()
         assert not scene.full.visibility[:, ~mask].any()
 

@@ -17,10 +17,14 @@ CHANGES = {
 }
 
 
+def losses_of_a_fit() -> GeometryLosses:
+    prior = ball_prior()
+    return GeometryLosses(GEOMETRY, prior, *_pools(portrait(), GEOMETRY, "cpu"), no_evidence(prior), refine_pose=False)
+
+
 def lopsided(change, x) -> float:
     """The term of a change of the deformation at points x."""
-    prior = ball_prior()
-    fit = GeometryLosses(GEOMETRY, prior, *_pools(portrait(), GEOMETRY, "cpu"), no_evidence(prior), refine_pose=False)
+    fit = losses_of_a_fit()
     before = fit.before.deform
     fit.model.deform = lambda x, z: (before(x, z)[0] + change(x), None)
     return float(fit._lopsided(x, fit.codes()[0]).detach())
@@ -47,3 +51,29 @@ def test_only_the_face_is_held_to_be_alike_on_both_sides(face):
     assert lopsided(CHANGES["turned"], beside) == 0.0
     behind = face * torch.tensor([1.0, 1.0, -1.0])
     assert lopsided(CHANGES["turned"], behind) == 0.0
+
+
+def test_phase_b_alone_asks_for_both_sides_alike():
+    fit = losses_of_a_fit()
+    terms = lambda: fit.losses(torch.Generator().manual_seed(1), geometry=True, share=0.5)  # noqa: E731
+    fit.retrace(torch.Generator().manual_seed(0))
+    assert not {"symmetry", "anchor"} & terms().keys()
+    fit.open_networks()
+    assert {"symmetry", "anchor"} <= terms().keys()
+    fit.open_cover()
+    assert "symmetry" not in terms()
+
+
+def test_phase_c_holds_what_is_seen_most_strongly_at_first():
+    fit = losses_of_a_fit()
+    fit.retrace(torch.Generator().manual_seed(0))
+    fit.open_cover()
+    before = fit.before.deform
+    fit.model.deform = lambda x, z: (before(x, z)[0] + 0.1, before(x, z)[1])
+    held = [
+        float(fit.losses(torch.Generator().manual_seed(1), geometry=True, share=share)["anchor"].detach())
+        for share in (0.0, 0.5, 1.0)
+    ]
+    first = GEOMETRY.hold_first
+    assert held[0] / held[2] == pytest.approx(first, rel=1e-5)
+    assert held[1] / held[2] == pytest.approx(first**0.5, rel=1e-5)

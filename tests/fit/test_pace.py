@@ -146,6 +146,22 @@ def test_the_last_stage_does_not_pay_for_the_others_setting_out():
     assert made == pytest.approx([20.0 / 0.5] * 4, abs=2)  # 100 s less four times 5, shared evenly
 
 
+def test_a_stage_without_steps_takes_no_time_from_the_others():
+    done = []
+    for between in ([], [Stage("none", 0, [], lambda step, generator: {})]):
+        clock, kept = Clock(), []
+        x = torch.nn.Parameter(torch.zeros(3))
+
+        def losses(step, generator, x=x, clock=clock):
+            clock.now += 0.5 if step else 20.0
+            return {"far": (x - 1.0).square().sum()}
+
+        one, two = (Stage(name, 200, [([x], 0.2)], losses) for name in ("one", "two"))
+        run_stages([one, *between, two], {"x": x}, seed=0, pace=Pace(100.0, clock=clock, note=kept.append))
+        done.append([k.done for k in kept if k.planned])
+    assert done[1] == done[0]
+
+
 def test_a_pace_with_time_enough_is_the_plain_fit():
     plain, state, _ = stages_and_state(30)
     run_stages(plain, state, seed=0)
