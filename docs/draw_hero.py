@@ -31,8 +31,9 @@ def main(avatar: Path) -> None:
     """Write docs/hero.png."""
     glb = (avatar / "avatar.glb").read_bytes()
     (length,) = struct.unpack("<I", glb[12:16])
-    scenes = json.loads(glb[20 : 20 + length])["scenes"]
-    canonical_from_world = np.array(scenes[0]["extras"]["canonical_from_world"], float).reshape(4, 4)
+    described = json.loads(glb[20 : 20 + length])
+    roughness = described["materials"][0]["pbrMetallicRoughness"]["roughnessFactor"]
+    canonical_from_world = np.array(described["scenes"][0]["extras"]["canonical_from_world"], float).reshape(4, 4)
     portrait, head = bundled_portrait(), load_fitted(avatar / "field.safetensors")
     mesh = extract_mesh(head)
     panels = [srgb_from_linear(portrait.image_linear)]
@@ -41,7 +42,7 @@ def main(avatar: Path) -> None:
     world_from_view = portrait.camera.world_from_camera[:3, :3] @ np.diag([1.0, -1.0, -1.0])
     for light in (found, *(light.rotated(world_from_view) for light in LIGHTS.values())):
         shadows = surface_visibility(mesh, light, canonical_from_world)
-        view = render_view(head, mesh, portrait.camera, canonical_from_world, light, shadows=shadows)
+        view = render_view(head, mesh, portrait.camera, canonical_from_world, light, roughness, shadows=shadows)
         panels.append(srgb_from_linear(view.final))
     rows, columns = np.nonzero(portrait.mask)
     top, left = max(rows.min() - 25, 0), max(columns.min() - 40, 0)

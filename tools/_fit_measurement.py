@@ -163,7 +163,7 @@ def rendered(shape: Shape, appearance, camera, light, *, shadows: bool = True):
 
     pose = shape.portrait.canonical_from_world
     cast = surface_visibility(shape.surface, light, pose) if shadows and appearance.shadowed else None
-    return render_view(appearance.head, shape.surface, camera, pose, light, shadows=cast)
+    return render_view(appearance.head, shape.surface, camera, pose, light, appearance.roughness, shadows=cast)
 
 
 class Results:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Bool
 from torch import Tensor, nn
 
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.geometry import GeometryFit
-from sira_assets.fit.pixels import PixelRays, mask_rays
+from sira_assets.fit.pixels import PixelRays, mask_rays, pixel_rays, pixels_per_metre
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.render.tracing import GRAZING
@@ -23,6 +24,10 @@ from sira_assets.scene.portrait import Portrait
 # single precision shows. A step is never longer than the largest cell.
 NEWTON_STEPS = 2
 FARTHEST_STEP = 0.004 / UNIT_M
+# How far from what is seen hidden points are drawn more densely; the refinement's shortest wave is 3 mm.
+BESIDE_M = 0.015
+# A mask is cut through the head, rather than ended by its outline, where the fitted surface goes on for this far.
+CUT_BEYOND_M = 0.006
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,28 @@ def visible_surface(
     return SurfacePoints(x, normals, -rays.directions, x_ref, gamma, rays)
 
 
+def cut_pixels(portrait: Portrait, geometry: GeometryFit, surface: Raycaster) -> Bool[np.ndarray, "H W"]:
+    """Pixels of the mask along a cut: the mask ends there, as at a collar, and the fitted head goes on.
+
+    Such a pixel shows in part what was cut off, and its colour would stay as a line on the surface.
+    """
+    from scipy import ndimage
+
+    reach = max(2, round(0.5 * CUT_BEYOND_M * pixels_per_metre(portrait)))
+    mask = ndimage.binary_fill_holes(portrait.mask)
+    rows, columns = np.nonzero(~mask & (ndimage.distance_transform_edt(~mask) <= 3 * reach))
+    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    rays = pixel_rays(posed, rows, columns)
+    hits = surface.cast(UNIT_M * rays.origins.double().numpy(), rays.directions.double().numpy())
+    beyond = np.zeros_like(mask)
+    beyond[rows, columns] = hits.hit
+    # A strip of surface beside the mask is an outline that was not met exactly: only what is wide remains.
+    wide = ndimage.distance_transform_edt(beyond) > reach
+    if wide.any():
+        wide = beyond & (ndimage.distance_transform_edt(~wide) <= reach)
+    return portrait.mask & ndimage.binary_dilation(wide)
+
+
 def _at(geometry: GeometryFit, x: Tensor) -> list[Tensor]:
     """f (N, 1), x, gradient, x_ref and gamma at x."""
     f, gradient, x_ref, gamma = sdf_and_gradient(geometry.shape, x, geometry.z_sdf, differentiable=False)
@@ -96,30 +123,52 @@ def _at(geometry: GeometryFit, x: Tensor) -> list[Tensor]:
 
 @torch.no_grad()
 def hidden_surface(
-    portrait: Portrait, geometry: GeometryFit, surface: TriangleMesh, generator: torch.Generator, count: int = 4096
+    portrait: Portrait,
+    geometry: GeometryFit,
+    surface: TriangleMesh,
+    seen: SurfacePoints,
+    generator: torch.Generator,
+    count: int = 4096,
 ) -> tuple[Tensor, Tensor]:
     """x_ref and gamma of surface points of which the photo says nothing: there the refinement is to be nothing.
 
     Middles of faces, drawn by area, that face away from the camera or are seen beside the mask, two pixels or more from
-    it; a hole in the mask is bridged by what is around it.
+    it; a hole in the mask is bridged by what is around it. Up to `count` of them anywhere, and as many within BESIDE_M
+    of what is seen, where the refinement's shortest waves would go on at random between points that are few.
 
     Parameters
     ----------
     surface : the fitted surface, canonical metres
     """
+    from scipy.spatial import cKDTree
+
     device = geometry.z_sdf.device
     normals = face_cross_products(surface.vertices, surface.faces)
-    area = torch.as_tensor(np.linalg.norm(normals, axis=1), device=device)
-    face = torch.multinomial(area, 4 * count, replacement=True, generator=generator).cpu().numpy()
-    x_m = surface.vertices[surface.faces[face]].mean(1)
-    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
-    away, beside = _unseen(posed, x_m, normals[face])
-    keep = np.flatnonzero(away | beside)[:count]
-    if not len(keep):
-        keep = np.arange(count)
-    x = torch.as_tensor(x_m[keep] / UNIT_M, dtype=torch.float32, device=device)
+    hidden = _hidden_faces(portrait, geometry, surface, normals)
+    middles = surface.vertices[surface.faces[hidden]].mean(1)
+    gap, _ = cKDTree(seen.x.double().cpu().numpy() * UNIT_M).query(middles, distance_upper_bound=BESIDE_M)
+    area = np.linalg.norm(normals[hidden], axis=1)
+    anywhere, beside = (
+        _drawn_by_area(torch.as_tensor(a, device=device), count, generator) for a in (area, area * (gap < BESIDE_M))
+    )
+    x = torch.as_tensor(middles[np.concatenate([anywhere, beside])] / UNIT_M, dtype=torch.float32, device=device)
     delta, gamma = geometry.shape.deform(x, geometry.z_sdf)
     return x + delta, gamma
+
+
+def _hidden_faces(portrait: Portrait, geometry: GeometryFit, surface: TriangleMesh, normals: np.ndarray) -> np.ndarray:
+    """Which faces the photo does not show; all of them if it shows every one."""
+    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
+    away, beside = _unseen(posed, surface.vertices[surface.faces].mean(1), normals)
+    hidden = np.flatnonzero(away | beside)
+    return hidden if len(hidden) else np.arange(len(normals))
+
+
+def _drawn_by_area(area: Tensor, count: int, generator: torch.Generator) -> np.ndarray:
+    """`count` indices drawn with replacement as `area` says; none where there is none."""
+    if not bool((area > 0).any()):
+        return np.zeros(0, int)
+    return torch.multinomial(area, count, replacement=True, generator=generator).cpu().numpy()
 
 
 def _unseen(portrait: Portrait, x_m: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 import torch
 from ball_prior import ball_prior
+from scipy import ndimage
 from small_portrait import portrait
 
 from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fit.appearance import unlit_head
 from sira_assets.fit.geometry import GeometryFitConfig, fit_geometry
-from sira_assets.fit.pixels import mask_rays
-from sira_assets.fit.seen_surface import _unseen, hidden_surface, visible_surface
+from sira_assets.fit.pixels import mask_rays, pixel_rays
+from sira_assets.fit.seen_surface import BESIDE_M, _unseen, cut_pixels, hidden_surface, visible_surface
 from sira_assets.mesh.extract import ExtractConfig, extract_mesh
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
@@ -125,10 +126,58 @@ def test_nobody_in_the_picture_is_seen_nowhere(fitted):
     assert len(seen) == 0
 
 
+def silhouette(p, mesh):
+    """All pixels that see the mesh."""
+    rays = pixel_rays(p, *np.nonzero(np.ones_like(p.mask)))
+    cast = Raycaster(mesh).cast(UNIT_M * rays.origins.double().numpy(), rays.directions.double().numpy())
+    return cast.hit.reshape(p.mask.shape)
+
+
+def cut_of(fitted, mask):
+    p, fit, mesh = fitted
+    return cut_pixels(replace(p, mask=mask), fit, Raycaster(mesh))
+
+
+def test_where_a_mask_cuts_through_the_head_its_last_pixels_are_mixed(fitted):
+    p, fit, mesh = fitted
+    whole = silhouette(replace(p, canonical_from_world=fit.canonical_from_world), mesh)
+    middle = int(np.nonzero(whole.any(1))[0].mean())
+    mask = whole & (np.arange(len(whole))[:, None] <= middle)
+    cut = cut_of(fitted, mask)
+    # The straight edge and nothing of the outline, which the cut meets at either end.
+    expected = np.zeros_like(mask)
+    expected[middle] = mask[middle]
+    assert (cut ^ expected).sum() <= 4
+    assert expected.sum() > 20
+
+
+@pytest.mark.parametrize("grown", [-2, -1, 0, 1, 2])
+def test_an_outline_met_within_two_pixels_is_no_cut(fitted, grown):
+    p, fit, mesh = fitted
+    whole = silhouette(replace(p, canonical_from_world=fit.canonical_from_world), mesh)
+    away = ndimage.distance_transform_edt(whole) - ndimage.distance_transform_edt(~whole)
+    assert not cut_of(fitted, away > -grown).any()
+
+
+def test_a_hole_and_the_pictures_border_are_no_cuts(fitted):
+    p, fit, mesh = fitted
+    holed = silhouette(replace(p, canonical_from_world=fit.canonical_from_world), mesh)
+    row, column = np.argwhere(holed).mean(0).astype(int)
+    holed[row - 5 : row + 6, column - 5 : column + 6] = False
+    assert not cut_of(fitted, holed).any()
+    assert not cut_of(fitted, np.ones_like(holed)).any()
+
+
 def test_hidden_points_are_on_both_sides_of_the_head(fitted):
     p, fit, mesh = fitted
-    x_ref, gamma = hidden_surface(p, fit, mesh, torch.Generator().manual_seed(0), count=500)
-    assert len(x_ref) == len(gamma) == 500
+    seen = visible_surface(p, fit, Raycaster(mesh))
+    x_ref, gamma = hidden_surface(p, fit, mesh, seen, torch.Generator().manual_seed(0), count=500)
+    assert len(x_ref) == len(gamma) == 1000
+    x_ref, near = x_ref[:500], x_ref[500:]
+    # The ball's deformation is all but none, so that a point's place in the reference is its own.
+    gap = torch.cdist(near, seen.x).min(1).values * UNIT_M
+    assert float(gap.max()) < 1.2 * BESIDE_M
+    assert float((torch.cdist(x_ref, seen.x).min(1).values * UNIT_M > BESIDE_M).float().mean()) > 0.5
     # Most of the ball's back, and of its front what this mask, narrower than the ball, leaves out.
     behind = x_ref[:, 2] < 0
     assert 0.5 < float(behind.float().mean()) < 1.0
