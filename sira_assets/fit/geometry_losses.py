@@ -76,7 +76,7 @@ class GeometryFitConfig:
     slope: float = 0.1
     # Squared difference between phase B's change and its mirror image, over the face: blotched skin and cast shadows,
     # which the networks take for shape, lie on one side; features lie on both.
-    symmetry: float = 50.0
+    symmetry: float = 300.0
     pose: float = 2.0e-3
     # A ray whose kept hit is further than this off the surface waits for the next retrace.
     lost: float = 0.08

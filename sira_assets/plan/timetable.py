@@ -21,7 +21,7 @@ from sira_assets.plan.planner import Plan, predicted
 AIMED_SHARE = 0.96
 # A machine that turns out faster buys more steps than planned, up to so many times as many, and as many times the
 # default's as the curves say anything is gained by: geometry, appearance.
-MOST, BEST_GEOMETRY, BEST_APPEARANCE = 2.0, 1.0, 2.0
+MOST, BEST_GEOMETRY, BEST_APPEARANCE = 2.0, 1.5, 2.0
 # Steps beside their plan, at most and at least: a benchmark of a second is not wrong by more.
 SLOWEST, FASTEST = 4.0, 0.5
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from sira_assets.fit.geometry_losses import GeometryFitConfig
 from sira_assets.pipeline import Settings, settings_for
 from sira_assets.plan.knobs import KNOBS, knob, place
 
@@ -47,20 +48,27 @@ def test_defaults_are_what_a_knob_says_of_them():
 
 
 def test_few_geometry_steps_leave_the_networks_alone_and_read_less_of_the_shading():
-    one, standard = knob("geometry steps"), settings_for("standard").geometry
+    one, default = knob("geometry steps"), GeometryFitConfig()
     fits = [one.put(settings_for("standard"), f).geometry for f in (0.02, 0.1, 0.25, 0.5, 1.0, 2.0)]
     assert [g.steps_networks > 0 for g in fits] == [False, False, False, True, True, True]
     assert all(g.steps_appearance > 0 and g.steps_codes > 0 and g.steps_cover > 0 for g in fits)
     # Those of the networks are given away, not saved: a quarter of the default is a quarter of all steps.
     all_steps = lambda g: g.steps_appearance + g.steps_codes + g.steps_networks + g.steps_cover  # noqa: E731
-    assert all_steps(fits[2]) == pytest.approx(0.25 * all_steps(standard), abs=2)
+    assert all_steps(fits[2]) == pytest.approx(0.25 * all_steps(default), abs=2)
     holds = [g.hold for g in fits]
     assert holds == sorted(holds)
-    assert holds[2] == holds[5] == standard.hold
+    assert holds[2] == holds[5] == default.hold
     reads = [(g.shading.pixels, g.shading.steps) for g in fits]
     assert reads == sorted(reads)
     assert reads[0] >= (600, 3)
-    assert fits[3].shading == fits[5].shading == standard.shading
+    assert fits[3].shading == fits[5].shading == default.shading
+
+
+def test_presets_take_their_places_on_the_geometrys_curve():
+    steps = [knob("geometry steps").read(settings_for(q)) for q in ("draft", "standard", "high")]
+    assert steps == sorted(steps)
+    assert steps[1] == pytest.approx(1.5)
+    assert knob("geometry steps").put(settings_for("draft"), 1.5).geometry.steps_networks == 480
 
 
 def test_names_are_different():
