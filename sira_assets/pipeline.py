@@ -158,8 +158,9 @@ def settings_for(
         a = replace(a, steps_light=80, steps_albedo=80, steps_specular=60, steps_refinement=150, pixels=2000)
         density, triangles, cell, samples = 1.0, 15000, 0.003, 1
     elif quality == "standard":
-        # Half as many again as the fit's defaults: photographed skin needs them (docs/measurements.md).
+        # Half as many again as the fit's defaults, for photographed skin, of fewer rays (docs/measurements.md).
         g = replace(g, steps_appearance=120, steps_codes=300, steps_networks=480, steps_cover=300)
+        g = replace(g, rays=600, band_rays=240)
         density, triangles, cell, samples = 2.0, 30000, 0.002, 2
     elif quality == "high":
         g = replace(g, steps_appearance=120, steps_codes=400, steps_networks=480, steps_cover=300)

@@ -68,6 +68,7 @@ def test_presets_take_their_places_on_the_geometrys_curve():
     steps = [knob("geometry steps").read(settings_for(q)) for q in ("draft", "standard", "high")]
     assert steps == sorted(steps)
     assert steps[1] == pytest.approx(1.5)
+    assert knob("geometry rays").read(settings_for("standard")) == 0.6
     assert knob("geometry steps").put(settings_for("draft"), 1.5).geometry.steps_networks == 480
 
 

@@ -10,7 +10,7 @@ from sample_figures import BENCH, STEPS, figures
 
 from sira_assets.errors import InputError
 from sira_assets.fit.pace import StageKept
-from sira_assets.pipeline import settings_for
+from sira_assets.pipeline import Settings, settings_for
 from sira_assets.plan.figures import Benchmark, KnobCurve, read_figures, write_figures
 from sira_assets.plan.knobs import knob
 from sira_assets.plan.machine import speed
@@ -24,11 +24,12 @@ def loss(plan):
 
 
 def test_the_reference_is_predicted_as_it_was_measured():
-    stages, _ = predicted(knob("geometry steps").put(settings_for("standard"), 1.0), figures(), BENCH)
+    reference = Settings()
+    stages, _ = predicted(reference, figures(), BENCH)
     assert {s.name: s.seconds for s in stages} == pytest.approx({s.name: s.seconds for s in figures().reference})
     # A machine on which everything takes twice as long.
     slow = Benchmark(*(2 * t for t in (BENCH.network_s, BENCH.rays_s, BENCH.arrays_s)))
-    assert [s.seconds for s in predicted(settings_for("standard"), figures(), slow)[0]] == pytest.approx(
+    assert [s.seconds for s in predicted(reference, figures(), slow)[0]] == pytest.approx(
         [2 * s.seconds for s in figures().reference]
     )
     assert speed("bake", replace(BENCH, network_s=1.0), BENCH) == pytest.approx(1.0 / BENCH.network_s)
