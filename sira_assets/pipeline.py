@@ -160,7 +160,7 @@ def settings_for(
     elif quality == "standard":
         # Half as many again as the fit's defaults, for photographed skin, of fewer rays (docs/measurements.md).
         g = replace(g, steps_appearance=120, steps_codes=300, steps_networks=480, steps_cover=300)
-        g = replace(g, rays=600, band_rays=240)
+        g = replace(g, rays=600, band_rays=240, pool=3600, band_pool=1500)
         density, triangles, cell, samples = 2.0, 30000, 0.002, 2
     elif quality == "high":
         g = replace(g, steps_appearance=120, steps_codes=400, steps_networks=480, steps_cover=300)

@@ -253,7 +253,10 @@ class AppearanceLosses:
         c = self.config
         shift = torch.rand(3, generator=generator, device=x_ref.device)
         cells = torch.floor(x_ref / c.drift_cell + shift).long()
-        _, cell = torch.unique(cells, dim=0, return_inverse=True)
+        cells = cells - cells.amin(0)
+        _, high, deep = (cells.amax(0) + 1).tolist()
+        # One number a cell: unique rows take ten times as long.
+        _, cell = torch.unique((cells[:, 0] * high + cells[:, 1]) * deep + cells[:, 2], return_inverse=True)
         total = extra.new_zeros(int(cell.max()) + 1, 7)
         total = total.index_add(0, cell, torch.cat([extra, base + 0.02, torch.ones_like(base[:, :1])], -1))
         mean = total[:, :3] / total[:, 3:6].clamp_min(1e-6)
