@@ -41,10 +41,11 @@ from sira_assets.texture.unwrap import UnwrapConfig, unwrap
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that decides an avatar, given the portrait and the prior.
+    """Everything that decides an avatar, given the portrait and the prior; presets are `settings_for`'s.
 
     Parameters
     ----------
+    quality : the preset's name, for those who read the report
     max_triangles : of the exported mesh, where `tolerance_mm` does not decide
     tolerance_mm : greatest distance of the exported mesh from the field's zero set, canonical mm; or None
     levels_of_detail : how many coarser avatars come beside the full one
@@ -55,7 +56,7 @@ class Settings:
     largest_texture : where the photo decides, but no more than so many texels a side
     """
 
-    quality: str = "standard"
+    quality: str = "default"
     geometry: GeometryFitConfig = GeometryFitConfig()
     appearance: AppearanceFitConfig = AppearanceFitConfig()
     extract: ExtractConfig = ExtractConfig()
@@ -209,7 +210,7 @@ def sized_for_photo(settings: Settings, mesh_world: TriangleMesh, camera: Camera
 
 def run(
     portrait: Portrait,
-    settings: Settings = Settings(),
+    settings: Settings | None = None,
     *,
     prior: Prior | None = None,
     work: Path | None = None,
@@ -222,6 +223,7 @@ def run(
 
     Parameters
     ----------
+    settings : standard's if None
     prior : the trained models; the shipped ones if None
     work : folder in which the two fits are kept as they finish and found again by a later run of the same settings
     timetable : keep to it, steps and texture size as the clock allows; not together with `work`
@@ -240,6 +242,7 @@ def run(
         seconds.append((name, time.monotonic() - started))
         return out
 
+    settings = settings_for("standard") if settings is None else settings
     prior = stage("load prior", load_prior) if prior is None else prior
     prior = prior.to(device)
     if timetable is not None and work is not None:

@@ -14,6 +14,8 @@ import numpy as np
 
 # Points a surface is measured with: noise of a face's mean below 0.01 mm.
 SAMPLES = 20_000
+# Raised when figures come out differently for the same fit: 2, renders have the fitted roughness.
+SCORING = 2
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ class Results:
     """Figures kept one file a case, so that a stopped run goes on; a case counts only under the same facts."""
 
     def __init__(self, folder: Path, facts: Mapping[str, object]):
-        self.folder, self.facts = Path(folder), json.loads(json.dumps(facts))
+        self.folder, self.facts = Path(folder), json.loads(json.dumps({"scoring": SCORING} | dict(facts)))
 
     def of(self, case: str, compute: Callable[[], Mapping[str, object]], **facts) -> dict[str, object]:
         """The case's figures as its file holds them, computed now unless they are there; `facts` are its own."""

@@ -21,7 +21,7 @@ from sira_assets.fit.loop import Checkpoint, Stage, run_stages
 from sira_assets.fit.pace import Pace
 from sira_assets.fit.pixels import require_pixels
 from sira_assets.fit.required import Evidence, needed_highlights, needed_lobes, needed_shadows
-from sira_assets.fit.seen_surface import SurfacePoints, cut_pixels, hidden_surface, visible_surface
+from sira_assets.fit.seen_surface import SurfacePoints, cut_region, hidden_surface, visible_surface
 from sira_assets.fit.shadows import FitShadows
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh
@@ -82,8 +82,9 @@ def fit_appearance(
     device = geometry.z_sdf.device
     generator = torch.Generator(device).manual_seed(c.seed + 1)
     caster = Raycaster(surface_canonical)
-    surface = _seen_surface(portrait, geometry, caster, c, generator)
-    hidden = hidden_surface(portrait, geometry, surface_canonical, surface, generator)
+    cut = cut_region(portrait, geometry, caster)
+    surface = _seen_surface(portrait, geometry, caster, cut, c, generator)
+    hidden = hidden_surface(portrait, geometry, surface_canonical, surface, cut, generator)
     shadows = FitShadows(caster, c.rays, device=device) if c.shadows else None
     fit = AppearanceLosses(c, prior, surface, hidden, shadows)
     record = run_stages(
@@ -130,14 +131,16 @@ def _seen_surface(
     portrait: Portrait,
     geometry: GeometryFit,
     caster: Raycaster,
+    cut: np.ndarray,
     c: AppearanceFitConfig,
     generator: torch.Generator,
 ) -> SurfacePoints:
-    """The seen surface, at most `max_surface` points of it, without pixels that show in part what was cut off."""
+    """The seen surface, at most `max_surface` points of it, without pixels along a cut unless there is little else."""
     surface = visible_surface(portrait, geometry, caster, at_most=2 * c.max_surface, generator=generator)
-    cut = torch.as_tensor(cut_pixels(portrait, geometry, caster), device=surface.x.device)
-    surface = surface.rows(torch.nonzero(~cut[surface.rays.row, surface.rays.column])[:, 0])
     require_pixels(int(surface.rays.usable.sum()), int(portrait.mask.sum()))
+    along = torch.as_tensor(cut, device=surface.x.device)[surface.rays.row, surface.rays.column]
+    if 2 * int(along.sum()) < len(surface):
+        surface = surface.rows(torch.nonzero(~along)[:, 0])
     if len(surface) > c.max_surface:
         chosen = torch.randperm(len(surface), generator=generator, device=surface.x.device)[: c.max_surface]
         surface = surface.rows(chosen.sort().values)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.geometry import GeometryFit
-from sira_assets.fit.pixels import PixelRays, mask_rays, pixel_rays, pixels_per_metre
+from sira_assets.fit.pixels import PixelRays, mask_rays, pixels_per_metre
 from sira_assets.mesh.raycast import Raycaster
 from sira_assets.mesh.triangle_mesh import TriangleMesh, face_cross_products
 from sira_assets.render.tracing import GRAZING
@@ -93,26 +93,38 @@ def visible_surface(
     return SurfacePoints(x, normals, -rays.directions, x_ref, gamma, rays)
 
 
-def cut_pixels(portrait: Portrait, geometry: GeometryFit, surface: Raycaster) -> Bool[np.ndarray, "H W"]:
-    """Pixels of the mask along a cut: the mask ends there, as at a collar, and the fitted head goes on.
+def cut_region(portrait: Portrait, geometry: GeometryFit, surface: Raycaster) -> Bool[np.ndarray, "H W"]:
+    """Pixels along a cut, where the mask ends, as at a collar, and the fitted head goes on: the mask's last ones, and
+    those beyond.
 
-    Such a pixel shows in part what was cut off, and its colour would stay as a line on the surface.
+    Such a last pixel shows in part what was cut off, and its colour would stay as a line on the surface.
     """
     from scipy import ndimage
 
     reach = max(2, round(0.5 * CUT_BEYOND_M * pixels_per_metre(portrait)))
-    mask = ndimage.binary_fill_holes(portrait.mask)
-    rows, columns = np.nonzero(~mask & (ndimage.distance_transform_edt(~mask) <= 3 * reach))
-    posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
-    rays = pixel_rays(posed, rows, columns)
-    hits = surface.cast(UNIT_M * rays.origins.double().numpy(), rays.directions.double().numpy())
+    # With room around, for a mask may end near the picture's border; where it meets the border nothing is cut off.
+    room = 3 * reach
+    mask = np.pad(ndimage.binary_fill_holes(portrait.mask), room)
+    rows, columns = np.nonzero(mask)
+    box = tuple(slice(max(i.min() - room, 0), i.max() + room + 1) for i in (rows, columns))
+    mask = mask[box]
+    rows, columns = np.nonzero(~mask & (ndimage.distance_transform_edt(~mask) <= room))
+    pixels = np.stack([columns + box[1].start, rows + box[0].start], 1) - room + 0.5
+    origins, directions = portrait.camera.rays_world(pixels)
+    directions = directions @ geometry.canonical_from_world[:3, :3].T
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     beyond = np.zeros_like(mask)
-    beyond[rows, columns] = hits.hit
-    # A strip of surface beside the mask is an outline that was not met exactly: only what is wide remains.
+    beyond[rows, columns] = surface.cast(transform_points(geometry.canonical_from_world, origins), directions).hit
+    # A strip of surface beside the mask is an outline that was not met exactly: only what is wide remains, with the
+    # corners between cut and outline, which no disc reaches.
     wide = ndimage.distance_transform_edt(beyond) > reach
     if wide.any():
         wide = beyond & (ndimage.distance_transform_edt(~wide) <= reach)
-    return portrait.mask & ndimage.binary_dilation(wide)
+        wide = ndimage.binary_dilation(wide, iterations=2 * reach, mask=beyond)
+    whole = np.zeros([n + 2 * room for n in portrait.mask.shape], bool)
+    whole[box] = wide
+    inside = whole[room:-room, room:-room]
+    return inside | portrait.mask & ndimage.binary_dilation(inside)
 
 
 def _at(geometry: GeometryFit, x: Tensor) -> list[Tensor]:
@@ -127,24 +139,28 @@ def hidden_surface(
     geometry: GeometryFit,
     surface: TriangleMesh,
     seen: SurfacePoints,
+    cut: Bool[np.ndarray, "H W"],
     generator: torch.Generator,
     count: int = 4096,
 ) -> tuple[Tensor, Tensor]:
     """x_ref and gamma of surface points of which the photo says nothing: there the refinement is to be nothing.
 
-    Middles of faces, drawn by area, that face away from the camera or are seen beside the mask, two pixels or more from
-    it; a hole in the mask is bridged by what is around it. Up to `count` of them anywhere, and as many within BESIDE_M
-    of what is seen, where the refinement's shortest waves would go on at random between points that are few.
+    Middles of faces, drawn by area, that face away from the camera or are seen beside the mask, more than two pixels
+    from it or in `cut`; a hole in the mask is bridged by what is around it. First `count` of them anywhere, then as
+    many (or none) within BESIDE_M of what is seen, where the refinement's shortest waves would go on at random between
+    points that are few.
 
     Parameters
     ----------
     surface : the fitted surface, canonical metres
+    seen : what the refinement learns from
+    cut : see `cut_region`
     """
     from scipy.spatial import cKDTree
 
     device = geometry.z_sdf.device
     normals = face_cross_products(surface.vertices, surface.faces)
-    hidden = _hidden_faces(portrait, geometry, surface, normals)
+    hidden = _hidden_faces(portrait, geometry, surface, normals, cut)
     middles = surface.vertices[surface.faces[hidden]].mean(1)
     gap, _ = cKDTree(seen.x.double().cpu().numpy() * UNIT_M).query(middles, distance_upper_bound=BESIDE_M)
     area = np.linalg.norm(normals[hidden], axis=1)
@@ -156,10 +172,12 @@ def hidden_surface(
     return x + delta, gamma
 
 
-def _hidden_faces(portrait: Portrait, geometry: GeometryFit, surface: TriangleMesh, normals: np.ndarray) -> np.ndarray:
+def _hidden_faces(
+    portrait: Portrait, geometry: GeometryFit, surface: TriangleMesh, normals: np.ndarray, cut: np.ndarray
+) -> np.ndarray:
     """Which faces the photo does not show; all of them if it shows every one."""
     posed = replace(portrait, canonical_from_world=geometry.canonical_from_world)
-    away, beside = _unseen(posed, surface.vertices[surface.faces].mean(1), normals)
+    away, beside = _unseen(posed, surface.vertices[surface.faces].mean(1), normals, cut)
     hidden = np.flatnonzero(away | beside)
     return hidden if len(hidden) else np.arange(len(normals))
 
@@ -171,15 +189,16 @@ def _drawn_by_area(area: Tensor, count: int, generator: torch.Generator) -> np.n
     return torch.multinomial(area, count, replacement=True, generator=generator).cpu().numpy()
 
 
-def _unseen(portrait: Portrait, x_m: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) bool each of canonical points: facing away from the camera; seen beside the mask or beyond the picture."""
+def _unseen(portrait: Portrait, x_m: np.ndarray, normals: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) bool each of canonical points: facing away from the camera; seen beside the mask, along a cut or beyond the
+    picture."""
     from scipy import ndimage
 
     centre = transform_points(portrait.canonical_from_world, portrait.camera.world_from_camera[None, :3, 3])
     to_camera = centre - x_m
     lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(to_camera, axis=1)
     cosine = (normals * to_camera).sum(1) / np.maximum(lengths, 1e-12)
-    mask = ndimage.binary_dilation(ndimage.binary_fill_holes(portrait.mask), iterations=2)
+    mask = ndimage.binary_dilation(ndimage.binary_fill_holes(portrait.mask), iterations=2) & ~cut
     pixel, depth = portrait.camera.project(transform_points(portrait.world_from_canonical, x_m))
     column, row = np.floor(np.clip(pixel, -1, [portrait.camera.width, portrait.camera.height])).astype(int).T
     inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1]) & (depth > 0)

@@ -57,6 +57,29 @@ def rotated(degrees):
     return out
 
 
+def test_renders_have_the_roughness_that_was_found(monkeypatch, scene):
+    import _fit_measurement
+
+    from sira_assets.render import view
+
+    told = {}
+    monkeypatch.setattr(view, "render_view", lambda *args, **options: told.update(args=args, **options))
+    shape = SimpleNamespace(portrait=scene.portrait, surface=None)
+    found = SimpleNamespace(head=None, roughness=0.37, shadowed=False)
+    _fit_measurement.rendered(shape, found, scene.portrait.camera, "light")
+    assert told["args"][4:6] == ("light", 0.37)
+
+
+def test_figures_scored_in_another_way_are_not_taken_for_these(tmp_path, monkeypatch):
+    import _fit_measurement
+
+    facts = {"settings": "one"}
+    assert _fit_measurement.Results(tmp_path, facts).of("a", lambda: {"mm": 1.0}) == {"mm": 1.0}
+    assert _fit_measurement.Results(tmp_path, facts).of("a", lambda: {"mm": 2.0}) == {"mm": 1.0}
+    monkeypatch.setattr(_fit_measurement, "SCORING", _fit_measurement.SCORING + 1)
+    assert _fit_measurement.Results(tmp_path, facts).of("a", lambda: {"mm": 2.0}) == {"mm": 2.0}
+
+
 def test_pose_error_of_known_motions():
     """A turn about the head's origin, a shift across the sight and another size are told apart, in any world."""
     from _measure_pose import pose_error
