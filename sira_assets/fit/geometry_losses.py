@@ -14,7 +14,7 @@ from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.kept_rays import KeptRays
-from sira_assets.fit.pixels import CUT_Y_M, on_face
+from sira_assets.fit.pixels import CUT_Y_M, on_ear, on_face
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
 from sira_assets.fit.shading import ShadingConfig, ShadingEvidence
 from sira_assets.render.tracing import TraceConfig, differentiable_hit
@@ -25,6 +25,8 @@ ATTENDED_FOR_A_STEP = 400
 COVERED = 0.001
 # Points a step at which phase B's change is held to be small, and on the face to be alike on both sides.
 HELD = 384
+# Ears that hair covers are held so much more firmly than the rest: its outline is not theirs.
+EAR_HOLD = 50.0
 # Over this distance (network units: 1 cm) the change of the deformation should be even.
 SLOPE_REACH = 0.1
 
@@ -108,6 +110,7 @@ class GeometryLosses:
         self.before = copy.deepcopy(self.model)
         self.before_z = prior.z_sdf.mean.clone()
         self.networks_open = self.covering = False
+        self.ears_covered = torch.zeros((), dtype=torch.bool, device=device)
         self.evidence = evidence
         self.coefficients = nn.Parameter(evidence.coefficients.clone())
         self.appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1], device=device))
@@ -125,6 +128,7 @@ class GeometryLosses:
             "rotation": self.pose.rotation,
             "translation": self.pose.translation,
             "before_z": self.before_z,
+            "ears_covered": self.ears_covered,
         }
         for name, rays in (("inside", self.inside), ("edge", self.edge)):
             own |= {f"{name}_index": rays.index, f"{name}_t": rays.t, f"{name}_hit": rays.hit}
@@ -169,6 +173,7 @@ class GeometryLosses:
         """Take the present state as what the phase that begins should keep."""
         self.before.load_state_dict(self.model.state_dict())
         self.before_z.copy_(self.codes()[0])
+        self.ears_covered |= self.edge.hair_over_ears(self.model, self.before_z, self.pose)
 
     @torch.no_grad()
     def retrace(self, generator: torch.Generator) -> None:
@@ -179,6 +184,8 @@ class GeometryLosses:
         self.inside.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.deepest(self.model, z_sdf, self.pose)
+        if self.networks_open and bool(self.ears_covered):
+            self.edge.spare_ears(self.model, z_sdf, self.pose, self.before, self.before_z)
 
     def losses(self, generator: torch.Generator, *, geometry: bool, share: float) -> dict[str, Tensor]:
         """Weighted loss terms of one step, `share` of its phase's way; without `geometry` only the appearance code
@@ -280,6 +287,8 @@ class GeometryLosses:
         slope = (there - here).square().sum(-1) / away.square().sum(-1)
         # Below the chin are collars and scarves, which stand off the neck that the prior knows.
         held = torch.where(points[:, 1] * UNIT_M < CUT_Y_M, 0.1, 1.0)
+        covered = on_ear(points + before[: len(points)]) & self.ears_covered
+        held = torch.where(covered, EAR_HOLD, held)
         return (held * here.square().sum(-1)).mean(), (held * slope).mean()
 
     def _lopsided(self, x: Tensor, z_sdf: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from small_portrait import portrait
 from test_fit import GEOMETRY
 
 from sira_assets.fit.geometry import _pools
-from sira_assets.fit.geometry_losses import GeometryLosses
+from sira_assets.fit.geometry_losses import EAR_HOLD, GeometryLosses
 from sira_assets.fit.shading import no_evidence
 
 CHANGES = {
@@ -77,3 +77,33 @@ def test_phase_c_holds_what_is_seen_most_strongly_at_first():
     first = GEOMETRY.hold_first
     assert held[0] / held[2] == pytest.approx(first, rel=1e-5)
     assert held[1] / held[2] == pytest.approx(first**0.5, rel=1e-5)
+
+
+def test_an_ear_that_hair_covers_is_held_more_firmly():
+    fit = losses_of_a_fit()
+    fit.open_cover()
+    fit.ears_covered.fill_(True)
+    before, shift = fit.before.deform, 0.1
+    fit.model.deform = lambda x, z: (before(x, z)[0] + shift, None)
+    count = 20000
+    held = [
+        float(fit._anchor(x.expand(count, 3), fit.codes()[0], torch.Generator().manual_seed(1))[0].detach())
+        for x in (torch.tensor([0.85, -0.2, -0.7]), torch.tensor([-0.85, -0.2, -0.7]), torch.tensor([0.0, 0.5, -0.7]))
+    ]
+    # Besides these points are 256 at random, the same each time.
+    more = (EAR_HOLD - 1.0) * 3.0 * shift**2 * count / (count + 256)
+    assert held[0] == held[1]
+    assert held[0] - held[2] == pytest.approx(more, rel=1e-4)
+
+
+def test_what_covered_ears_once_covers_them_for_good():
+    fit = losses_of_a_fit()
+    fit.retrace(torch.Generator().manual_seed(0))
+    fit.edge.hair_over_ears = lambda *_: torch.tensor(True)
+    fit.remember()
+    assert bool(fit.ears_covered)
+    fit.edge.hair_over_ears = lambda *_: torch.tensor(False)
+    fit.remember()
+    assert bool(fit.ears_covered)
+    # And a fit that is gone on from knows it.
+    assert fit.state()["ears_covered"] is fit.ears_covered
