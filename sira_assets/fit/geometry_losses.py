@@ -14,7 +14,7 @@ from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.kept_rays import KeptRays
-from sira_assets.fit.pixels import CUT_Y_M, on_ear, on_face
+from sira_assets.fit.pixels import CUT_Y_M, on_ears, on_face
 from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
 from sira_assets.fit.shading import ShadingConfig, ShadingEvidence
 from sira_assets.render.tracing import TraceConfig, differentiable_hit
@@ -25,8 +25,6 @@ ATTENDED_FOR_A_STEP = 400
 COVERED = 0.001
 # Points a step at which phase B's change is held to be small, and on the face to be alike on both sides.
 HELD = 384
-# Ears that hair covers are held so much more firmly than the rest: its outline is not theirs.
-EAR_HOLD = 50.0
 # Over this distance (network units: 1 cm) the change of the deformation should be even.
 SLOPE_REACH = 0.1
 
@@ -70,6 +68,10 @@ class GeometryFitConfig:
     hold: float = 2000.0
     hold_first: float = 16.0
     rate_cover: float = 4.0e-4
+    # Where a larger share of the band's rays passes further out than an ear can be, hair covers it: such an ear is held
+    # so much more firmly than the rest, and its outline is left to what is behind it. A share of 1: never.
+    hair_share: float = 0.003
+    ear_hold: float = 50.0
     prior: float = 1.0e-3
     appearance_prior: float = 3.0e-6
     eikonal: float = 0.05
@@ -110,7 +112,7 @@ class GeometryLosses:
         self.before = copy.deepcopy(self.model)
         self.before_z = prior.z_sdf.mean.clone()
         self.networks_open = self.covering = False
-        self.ears_covered = torch.zeros((), dtype=torch.bool, device=device)
+        self.ears_covered = torch.zeros(2, dtype=torch.bool, device=device)
         self.evidence = evidence
         self.coefficients = nn.Parameter(evidence.coefficients.clone())
         self.appearance = nn.Parameter(torch.zeros(prior.z_r.basis.shape[1], device=device))
@@ -173,7 +175,11 @@ class GeometryLosses:
         """Take the present state as what the phase that begins should keep."""
         self.before.load_state_dict(self.model.state_dict())
         self.before_z.copy_(self.codes()[0])
-        self.ears_covered |= self.edge.hair_over_ears(self.model, self.before_z, self.pose)
+        if not self.networks_open:
+            # Once, and on what the codes make of the head: networks may have drawn ears out already.
+            self.edge.retrace(self.model, self.before_z, self.pose, self.config.trace)
+            shares = self.edge.beyond_ears(self.model, self.before_z, self.pose)
+            self.ears_covered.copy_(shares > self.config.hair_share)
 
     @torch.no_grad()
     def retrace(self, generator: torch.Generator) -> None:
@@ -184,8 +190,8 @@ class GeometryLosses:
         self.inside.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.retrace(self.model, z_sdf, self.pose, self.config.trace)
         self.edge.deepest(self.model, z_sdf, self.pose)
-        if self.networks_open and bool(self.ears_covered):
-            self.edge.spare_ears(self.model, z_sdf, self.pose, self.before, self.before_z)
+        if self.networks_open and bool(self.ears_covered.any()):
+            self.edge.spare_ears(self.model, z_sdf, self.pose, self.before, self.before_z, self.ears_covered)
 
     def losses(self, generator: torch.Generator, *, geometry: bool, share: float) -> dict[str, Tensor]:
         """Weighted loss terms of one step, `share` of its phase's way; without `geometry` only the appearance code
@@ -275,7 +281,9 @@ class GeometryLosses:
         random = torch.rand(256, 3, generator=generator, device=x.device)
         edge = self.edge.draw(256, generator, torch.ones_like(self.edge.t))
         rays = self.edge.drawn(edge)
-        band = rays.origins + self.edge.t[edge, None] * rays.directions
+        with torch.no_grad():
+            origins, directions = corrected(self.pose, rays.origins, rays.directions)
+        band = origins + self.edge.t[edge, None] * directions
         seen = [x] if self.covering else [x[:HELD], band]
         points = torch.cat([*seen, low + (high - low) * random])
         away = SLOPE_REACH * torch.randn(points.shape, generator=generator, device=x.device)
@@ -287,8 +295,8 @@ class GeometryLosses:
         slope = (there - here).square().sum(-1) / away.square().sum(-1)
         # Below the chin are collars and scarves, which stand off the neck that the prior knows.
         held = torch.where(points[:, 1] * UNIT_M < CUT_Y_M, 0.1, 1.0)
-        covered = on_ear(points + before[: len(points)]) & self.ears_covered
-        held = torch.where(covered, EAR_HOLD, held)
+        covered = (on_ears(points + before[: len(points)]) & self.ears_covered).any(-1)
+        held = torch.where(covered, self.config.ear_hold, held)
         return (held * here.square().sum(-1)).mean(), (held * slope).mean()
 
     def _lopsided(self, x: Tensor, z_sdf: Tensor) -> Tensor:

@@ -9,14 +9,13 @@ from torch import Tensor
 from sira_assets.fields.head_field import BOUNDS_M, CHUNK
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.sa_sm import ShapeAppearanceModel
-from sira_assets.fit.pixels import EAR, PixelRays, on_ear
+from sira_assets.fit.pixels import EAR, PixelRays, on_ears
 from sira_assets.fit.pose import PoseCorrection, corrected
 from sira_assets.render.tracing import TraceConfig, sphere_trace
 
-# Where so large a share of the rays passes an ear further out than ears are from what the codes make of them (network
-# units: 8 mm), hair covers it. Under such hair it is 0.017, of seven heads whose ears show 0.0013 at most.
-COVERING_SHARE, BEYOND_AN_EAR = 0.005, 0.08
-# Such an ear is drawn out by no more than this (6 mm).
+# So far from what the codes make of an ear no ear goes (network units: 8 mm).
+BEYOND_AN_EAR = 0.08
+# Rays that would draw out a covered ear by more than this (6 mm) look for another place.
 EAR_REACH = 0.06
 
 
@@ -91,14 +90,14 @@ class KeptRays:
             self.lowest.copy_(lowest)
             self.t.copy_(torch.where(self.hit, ts.gather(1, at[:, None])[:, 0], self.t))
 
-    def hair_over_ears(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection) -> Tensor:
-        """() bool: whether the mask's outline beside the ears is that of hair."""
+    def beyond_ears(self, model: ShapeAppearanceModel, z_sdf: Tensor, pose: PoseCorrection) -> Tensor:
+        """(2,) shares of the rays that the mask has further out beside the right and the left ear than ears reach."""
         rays = self.rays
         with torch.no_grad():
             origins, directions = corrected(pose, rays.origins, rays.directions)
             f, x_ref, _ = model(origins + self.t[:, None] * directions, z_sdf)
-            beyond = ~self.hit & rays.in_mask & on_ear(x_ref) & (f > BEYOND_AN_EAR)
-        return beyond.float().mean() > COVERING_SHARE
+            beyond = ~self.hit & rays.in_mask & (f > BEYOND_AN_EAR)
+        return (beyond[:, None] & on_ears(x_ref)).float().mean(0)
 
     def spare_ears(
         self,
@@ -107,16 +106,19 @@ class KeptRays:
         pose: PoseCorrection,
         before: ShapeAppearanceModel,
         before_z: Tensor,
+        covered: Tensor,
         reach=1.2,
         samples=32,
     ) -> None:
-        """Let rays of the mask that miss, and could only be met by drawing out an ear, follow the rest of the head.
+        """Let rays of the mask that miss and would draw an ear out follow another part of the head.
 
-        Of all that a head has, an ear is mostly nearest to the outline of hair that covers it.
+        Of all that a head has, an ear is mostly nearest to the outline of hair that covers it. A ray that passes
+        nothing else stays where it is.
 
         Parameters
         ----------
-        before, before_z : the head whose ears are spared: none goes further out of it than EAR_REACH
+        before, before_z : the head whose ears are spared
+        covered : (2,) bool, whether the right and the left ear are
         reach : how far along a ray, from where it comes nearest, another place is looked for, in `samples` places
         """
         missed = torch.nonzero(~self.hit & self.every.in_mask[self.index])[:, 0]
@@ -129,7 +131,7 @@ class KeptRays:
             ts = self.t[missed, None] + torch.cat([along.new_zeros(1), along])
             points = (origins[:, None] + ts[..., None] * directions[:, None]).reshape(-1, 3)
             f_before, x_ref, _ = before(points, before_z)
-            drawn_out = (on_ear(x_ref) & (f_before > EAR_REACH)).view(ts.shape)
+            drawn_out = ((on_ears(x_ref) & covered).any(-1) & (f_before > EAR_REACH)).view(ts.shape)
             # Cheeks and temples are no place for hair to stand off either.
             before_ears = (x_ref[:, 2] > EAR[1][2]).view(ts.shape)
             f = model(points, z_sdf)[0].view(ts.shape).masked_fill(drawn_out | before_ears, torch.inf)

@@ -21,8 +21,8 @@ from sira_assets.scene.portrait import Portrait
 CUT_Y_M = -0.115
 # Pixels this far (canonical metres, at the head's depth) outside the mask still belong to the silhouette band.
 BAND_M = 0.02
-# Where ears are in the reference space: low and high |x|, y, z, network units. Outwards as far as hair stands off.
-EAR = ((0.76, -0.65, -1.08), (1.3, 0.22, -0.28))
+# Where ears are in the reference space: low and high |x|, y, z, network units. Outwards as far as any hair.
+EAR = ((0.76, -0.65, -1.08), (2.4, 0.22, -0.28))
 # A pixel with no channel above this (linear: an 8-bit step) was not exposed: it says nothing of the surface's shape.
 UNEXPOSED = 1.0 / 255.0 / 12.92
 
@@ -123,12 +123,12 @@ def on_face(x: Float[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
     return (away[:, :2].norm(dim=-1) < 0.75) & (x[:, 2] > 0.2)
 
 
-def on_ear(x_ref: Float[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
-    """Which points (N, 3) of the reference space, network units, lie on an ear or beside it, inwards to the skull's
-    side."""
+def on_ears(x_ref: Float[Tensor, "N 3"]) -> Bool[Tensor, "N 2"]:
+    """Which points of the reference space, network units, lie on the right ear or outwards of it, which on the left."""
     folded = torch.cat([x_ref[:, :1].abs(), x_ref[:, 1:]], -1)
     low, high = (x_ref.new_tensor(corner) for corner in EAR)
-    return ((folded > low) & (folded < high)).all(-1)
+    either = ((folded > low) & (folded < high)).all(-1)
+    return torch.stack([either & (x_ref[:, 0] < 0), either & (x_ref[:, 0] > 0)], -1)
 
 
 def face_weight(rays: PixelRays) -> Float[Tensor, " N"]:

@@ -7,8 +7,10 @@ from ball_prior import ball_prior
 from small_portrait import portrait
 
 from sira_assets.fit.kept_rays import KeptRays
-from sira_assets.fit.pixels import EAR, PixelRays, on_ear, pixel_rays, silhouette_band
+from sira_assets.fit.pixels import EAR, PixelRays, on_ears, pixel_rays, silhouette_band
 from sira_assets.fit.pose import PoseCorrection
+
+REST = ("rgb", "in_mask", "usable", "row", "column")
 
 
 @pytest.fixture(scope="module")
@@ -69,75 +71,70 @@ def beside_an_ear(x: float, z: float, *, in_mask: bool = True) -> PixelRays:
     return PixelRays(origin, torch.tensor([[0.0, -1.0, 0.0]]), torch.ones(1, 3), mask, mask, one, one)
 
 
-def spared(rays: PixelRays) -> tuple[float, KeptRays]:
-    """By how much a ray is followed elsewhere once ears are spared, along it."""
+def given() -> tuple:
+    """A ball of one unit, its code and no correction of the pose."""
     prior = ball_prior()
+    return prior.shape, prior.z_sdf.mean, PoseCorrection(torch.zeros(3), torch.zeros(3))
+
+
+def spared(rays: PixelRays, covered=(True, True), ball=1.0) -> tuple[float, KeptRays]:
+    """By how much a ray is followed elsewhere, along it, once ears are spared that had been a ball of this size."""
     kept = KeptRays(rays, torch.ones(1), 1)
-    given = (prior.shape, prior.z_sdf.mean, PoseCorrection(torch.zeros(3), torch.zeros(3)))
-    kept.retrace(*given)
+    model, z, pose = given()
+    kept.retrace(model, z, pose)
     nearest = kept.t.clone()
-    kept.spare_ears(*given, prior.shape, prior.z_sdf.mean)
+    before = lambda x, _: (x.norm(dim=-1) - ball, x, None)  # noqa: E731
+    kept.spare_ears(model, z, pose, before, z, torch.tensor(covered))
     return float(kept.t - nearest), kept
 
 
-def test_a_ray_that_only_an_ear_drawn_out_would_meet_follows_what_is_next_nearest():
+@pytest.mark.parametrize(("x", "covered"), [(0.95, (False, True)), (-0.95, (True, False)), (1.6, (True, True))])
+def test_a_ray_that_would_draw_an_ear_out_follows_what_is_next_nearest(x, covered):
     # The ball's side stands in for an ear; above y = 0.22 the ear ends, and the ball is nearest just above it.
-    moved, kept = spared(beside_an_ear(0.95, -0.6))
-    top = EAR[1][1]
-    step = 2.4 / 31
+    _, kept = spared(beside_an_ear(x, -0.6), covered)
     assert not bool(kept.hit[0])
-    # The nearest place is found to a few hundredths, as f is flat there; places are looked for a step apart.
-    assert -(top + step) - 0.05 < moved < -top + 0.05
     at = kept.every.origins + kept.t[:, None] * kept.every.directions
-    assert not bool(on_ear(at)[0])
+    assert not bool(on_ears(at).any())
+    # Places are looked for a step apart.
+    assert EAR[1][1] < float(at[0, 1]) < EAR[1][1] + 2.4 / 31
 
 
 @pytest.mark.parametrize(
-    "rays",
+    ("rays", "options"),
     [
-        beside_an_ear(0.95, -0.6, in_mask=False),  # background beside an ear
-        beside_an_ear(0.86, -0.55),  # 2 mm off: an ear may be as large as that
-        beside_an_ear(0.7, -0.6),  # a hit
-        beside_an_ear(0.3, -1.2),  # behind the head
+        (beside_an_ear(0.95, -0.6, in_mask=False), {}),  # background beside an ear
+        (beside_an_ear(0.86, -0.55), {}),  # 2 mm off: an ear may be as large as that
+        (beside_an_ear(0.78, -0.55), {"ball": 0.8}),  # a hit, though the ear was smaller
+        (beside_an_ear(0.3, -1.2), {}),  # behind the head
+        (beside_an_ear(0.95, -0.6), {"covered": (True, False)}),  # the other ear is covered
     ],
-    ids=["background", "a little", "hit", "behind"],
+    ids=["background", "a little", "hit", "behind", "other"],
 )
-def test_other_rays_stay_where_they_are(rays):
-    assert spared(rays)[0] == 0.0
+def test_other_rays_stay_where_they_are(rays, options):
+    assert spared(rays, **options)[0] == 0.0
 
 
 def test_where_all_of_a_ray_passes_the_ear_it_stays():
     rays = beside_an_ear(1.0, -0.6)
-    forward = PixelRays(
-        torch.tensor([[1.1, 0.0, -0.6]]),
-        torch.tensor([[1.0, 0.0, 0.0]]),
-        rays.rgb,
-        rays.in_mask,
-        rays.usable,
-        *[rays.row] * 2,
-    )
-    prior = ball_prior()
+    outwards = torch.tensor([[1.0, 0.0, 0.0]])
+    forward = PixelRays(1.1 * outwards + torch.tensor([[0.0, 0.0, -0.6]]), outwards, *(getattr(rays, n) for n in REST))
     kept = KeptRays(forward, torch.ones(1), 1)
-    given = (prior.shape, prior.z_sdf.mean, PoseCorrection(torch.zeros(3), torch.zeros(3)))
-    kept.spare_ears(*given, *given[:2], reach=0.1)
+    kept.spare_ears(*given(), *given()[:2], torch.tensor([True, True]), reach=0.1)
     assert float(kept.t) == 0.0
 
 
-def rays_past_ears(beside: list[tuple[float, float]], count: int) -> bool:
-    """Whether hair covers ears, of rays past them and others that hit, `count` in all."""
-    rays = [beside_an_ear(*xz) for xz in beside] + [beside_an_ear(0.2, 0.1)] * (count - len(beside))
+def beyond(beside: list[tuple[float, float]], count: int, *, in_mask: bool = True) -> list[float]:
+    """Shares of rays past the right and the left ear, of some past (x, z) and others that hit, `count` in all."""
+    rays = [beside_an_ear(*xz, in_mask=in_mask) for xz in beside]
+    rays += [beside_an_ear(0.2, 0.1)] * (count - len(beside))
     every = PixelRays(*(torch.cat([getattr(r, name) for r in rays]) for name in PixelRays.__dataclass_fields__))
     kept = KeptRays(every, torch.ones(count), count)
-    prior = ball_prior()
-    given = (prior.shape, prior.z_sdf.mean, PoseCorrection(torch.zeros(3), torch.zeros(3)))
-    kept.retrace(*given)
-    return bool(kept.hair_over_ears(*given))
+    kept.retrace(*given())
+    return kept.beyond_ears(*given()).tolist()
 
 
-def test_hair_covers_ears_where_the_outline_is_further_out_than_ears_are():
-    out, near, behind = (1.0, -0.6), (0.88, -0.55), (0.3, -1.3)
-    assert rays_past_ears([out] * 2, 200)
-    assert rays_past_ears([(-1.0, -0.6)] * 2, 200)
-    assert not rays_past_ears([out], 200)
-    assert not rays_past_ears([near] * 50, 200)
-    assert not rays_past_ears([behind] * 50, 200)
+def test_hair_is_told_by_an_outline_further_out_than_ears_are():
+    right, left, near, behind = (-1.0, -0.6), (1.7, -0.6), (0.88, -0.55), (0.3, -1.3)
+    assert beyond([right, left, left], 100) == pytest.approx([0.01, 0.02])
+    assert beyond([near] * 5 + [behind] * 5 + [(0.78, -0.55)] * 5, 100) == [0.0, 0.0]
+    assert beyond([right, left], 100, in_mask=False) == [0.0, 0.0]
