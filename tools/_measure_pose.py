@@ -35,11 +35,10 @@ def with_estimated_pose(scene: Scene, *, noise_px: float, seed: int):
     names = [name for name in CANONICAL_LANDMARKS_M if name in scene.truth.landmarks]
     pixels, _ = portrait.camera.project(np.array([scene.truth.landmarks[name] for name in names]) / unit)
     pixels = pixels + noise_px * rng.normal(size=pixels.shape)
-    canonical_from_camera = np.linalg.inv(
-        camera_from_canonical(dict(zip(names, pixels, strict=True)), portrait.camera.intrinsics)
-    )
+    found = dict(zip(names, pixels, strict=True))
+    canonical_from_camera = np.linalg.inv(camera_from_canonical(found, portrait.camera.intrinsics))
     placed = canonical_from_camera @ np.diag([unit, unit, unit, 1.0]) @ portrait.camera.camera_from_world
-    return replace(portrait, canonical_from_world=placed, pose_is_estimated=True)
+    return replace(portrait, canonical_from_world=placed, landmarks_px=found)
 
 
 def pose_error(portrait, true_canonical_from_world: np.ndarray) -> dict[str, float]:

@@ -19,6 +19,7 @@ from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import ShapeAppearanceModel
 from sira_assets.fit.geometry_losses import GeometryFitConfig, GeometryLosses
 from sira_assets.fit.kept_rays import KeptRays
+from sira_assets.fit.landmark_rays import landmark_rays
 from sira_assets.fit.loop import Checkpoint, Stage, run_stages
 from sira_assets.fit.pace import Pace
 from sira_assets.fit.pixels import PixelRays, face_weight, mask_rays, pixel_rays, require_pixels, silhouette_band
@@ -77,10 +78,9 @@ def fit_geometry(
     """
     c = config
     inside, edge = _pools(portrait, c, device)
-    refine_pose = portrait.pose_is_estimated
     generator = torch.Generator(device).manual_seed(c.seed)
-    evidence = shading_evidence(inside.every, prior, c.shading, generator, refine_pose=refine_pose)
-    fit = GeometryLosses(c, prior, inside, edge, evidence, refine_pose=refine_pose)
+    evidence = shading_evidence(inside.every, landmark_rays(portrait, prior), prior, c.shading, generator)
+    fit = GeometryLosses(c, prior, inside, edge, evidence)
 
     def stage(name: str, steps: int, groups, *, geometry: bool = True, begin=lambda: None, enter=lambda: None) -> Stage:
         def before_step(step: int, generator: torch.Generator) -> None:

@@ -15,7 +15,7 @@ from sira_assets.fields.prior import Prior, freeze
 from sira_assets.fields.sa_sm import sdf_and_gradient
 from sira_assets.fit.kept_rays import KeptRays
 from sira_assets.fit.pixels import CUT_Y_M, on_ears, on_face
-from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.fit.pose import PoseCorrection, corrected
 from sira_assets.fit.shading import ShadingConfig, ShadingEvidence
 from sira_assets.render.tracing import TraceConfig, differentiable_hit
 
@@ -81,7 +81,6 @@ class GeometryFitConfig:
     # Squared difference between phase B's change and its mirror image, over the face: blotched skin and cast shadows,
     # which the networks take for shape, lie on one side; features lie on both.
     symmetry: float = 300.0
-    pose: float = 2.0e-3
     # A ray whose kept hit is further than this off the surface waits for the next retrace.
     lost: float = 0.08
     trace: TraceConfig = TraceConfig()
@@ -101,11 +100,9 @@ class GeometryLosses:
         inside: KeptRays,
         edge: KeptRays,
         evidence: ShadingEvidence,
-        *,
-        refine_pose: bool,
     ):
         device = inside.t.device
-        self.config, self.prior, self.inside, self.edge, self.refine_pose = config, prior, inside, edge, refine_pose
+        self.config, self.prior, self.inside, self.edge = config, prior, inside, edge
         self.model = copy.deepcopy(prior.shape)
         freeze(self.model)
         # The end of the phase before, from which phases B and C should not stray.
@@ -231,16 +228,13 @@ class GeometryLosses:
             self.inside.t[chosen] += ((x - x0) * directions).sum(-1).nan_to_num(0.0).clamp(-c.lost, c.lost)
         delta, gamma = self.model.deform(x, z_sdf)
         colour = self.model.render(x + delta, normals, -directions, gamma, z_r)
+        pose = torch.cat([self.pose.rotation, self.pose.translation])
         losses = {
             "colour": c.colour * ((colour - rays.rgb).abs().mean(-1) * on).sum() / on.sum().clamp_min(1.0),
             "silhouette": c.silhouette * self._silhouette(z_sdf, generator),
-            "prior": c.prior * self.evidence.energy(self.coefficients),
+            "prior": c.prior * self.evidence.energy(self.coefficients, pose),
             "appearance_prior": c.appearance_prior * self.appearance.square().sum(),
         }
-        if self.refine_pose:
-            sigma = self.appearance.new_tensor(POSE_SIGMA)
-            scaled = torch.cat([self.pose.rotation, self.pose.translation]) / sigma
-            losses["pose"] = c.pose * scaled.square().sum()
         if self.networks_open:
             losses["eikonal"] = c.eikonal * ((length - 1.0) ** 2).mean()
             far, uneven = self._anchor(x.detach(), z_sdf, generator)

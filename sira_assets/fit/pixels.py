@@ -47,13 +47,18 @@ class PixelRays:
         return PixelRays(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
-def pixel_rays(portrait: Portrait, rows: np.ndarray, columns: np.ndarray, *, device="cpu") -> PixelRays:
-    """Rays through pixel centres."""
-    origins, directions = portrait.camera.rays_world(np.stack([columns + 0.5, rows + 0.5], 1))
+def canonical_rays(portrait: Portrait, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions (N, 3) of the rays through pixel positions (N, 2), centres at +0.5; network units."""
+    origins, directions = portrait.camera.rays_world(pixels)
     to_canonical = portrait.canonical_from_world
     directions = directions @ to_canonical[:3, :3].T
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    origins = transform_points(to_canonical, origins) / UNIT_M
+    return transform_points(to_canonical, origins) / UNIT_M, directions
+
+
+def pixel_rays(portrait: Portrait, rows: np.ndarray, columns: np.ndarray, *, device="cpu") -> PixelRays:
+    """Rays through pixel centres."""
+    origins, directions = canonical_rays(portrait, np.stack([columns + 0.5, rows + 0.5], 1))
     exposed = (portrait.image_linear[rows, columns] > UNEXPOSED).any(-1)
     as_tensor = lambda a, kind=torch.float32: torch.as_tensor(np.ascontiguousarray(a), dtype=kind, device=device)  # noqa: E731
     return PixelRays(

@@ -48,3 +48,13 @@ def corrected(
     with torch.autocast(origins.device.type, enabled=False):
         rotation = rotation_matrix(correction.rotation)
         return origins @ rotation.T + correction.translation, directions @ rotation.T
+
+
+def moved_by(points: Float[Tensor, "N 3"], translation: Float[Tensor, "3"]) -> Float[Tensor, "N 3 6"]:
+    """How corrected points that keep their place in the world move with w and u, to first order."""
+    out = points.new_zeros(len(points), 3, 6)
+    axes = torch.eye(3, dtype=points.dtype, device=points.device)
+    for k in range(3):
+        out[:, :, k] = torch.linalg.cross(axes[k].expand_as(points), points - translation)
+        out[:, :, 3 + k] = axes[k]
+    return out

@@ -21,8 +21,9 @@ from sira_assets.fields.head_field import BOUNDS_M
 from sira_assets.fields.mlp import UNIT_M
 from sira_assets.fields.prior import Prior
 from sira_assets.fields.sa_sm import sdf_and_gradient
+from sira_assets.fit.landmark_rays import LandmarkRays, landmark_offsets
 from sira_assets.fit.pixels import PixelRays
-from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected
+from sira_assets.fit.pose import POSE_SIGMA, PoseCorrection, corrected, moved_by
 from sira_assets.numerics.srgb import srgb_decode, srgb_encode_beyond
 from sira_assets.render.tracing import TraceConfig, sphere_trace
 
@@ -38,6 +39,10 @@ TRIES = 5
 ENOUGH = 0.1
 # The light is as free as the photo lets it be; this keeps an unlit side's from being undetermined.
 LIGHT_PRECISION = 1.0e-3
+# The landmarks say where the head stands; so many times what they leave open keeps a pose from running away.
+LOOSE_POSE = 4.0
+# A landmark that misses by more expected misses than this is another spot (Geman and McClure).
+WRONG = 3.0
 # Robust means that the first light is found by.
 LIGHT_ROUNDS, LIGHT_ERROR = 10, 0.05
 
@@ -75,42 +80,45 @@ class ShadingEvidence:
     Parameters
     ----------
     coefficients : (K,) the most probable c
-    precision : (K, K) of the shading alone about it, light, patches and pose integrated out
     pose : (6,) the most probable correction, zero where the pose is given
+    precision : (K + 6, K + 6) of photo and pose about both, light and patches integrated out; (K, K) of the photo about
+        c where the pose is given
     """
 
     coefficients: Float[Tensor, " K"]
-    precision: Float[Tensor, "K K"]
     pose: Float[Tensor, "6"]
+    precision: Float[Tensor, "P P"]
 
-    def energy(self, coefficients: Float[Tensor, " K"]) -> Float[Tensor, ""]:
-        """Squared distance from the most probable c under prior and shading; |c|^2 where there is no shading."""
+    def energy(self, coefficients: Float[Tensor, " K"], pose: Float[Tensor, "6"]) -> Float[Tensor, ""]:
+        """Squared distance from the most probable c and pose under prior and photo; |c|^2 where no photo tells."""
         away = coefficients - self.coefficients
-        return away.square().sum() + away @ self.precision @ away
+        both = torch.cat([away, pose - self.pose])[: len(self.precision)]
+        return away.square().sum() + both @ self.precision @ both
 
 
-def no_evidence(prior: Prior) -> ShadingEvidence:
+def no_evidence(prior: Prior, *, refine_pose: bool) -> ShadingEvidence:
     """That of a photo whose shading tells nothing."""
     zeros = torch.zeros_like(prior.z_sdf.basis[0])
-    return ShadingEvidence(zeros, torch.diag(zeros), zeros.new_zeros(6))
+    sigma = zeros.new_tensor(POSE_SIGMA if refine_pose else ())
+    return ShadingEvidence(zeros, zeros.new_zeros(6), torch.diag(torch.cat([zeros, sigma**-2])))
 
 
 def shading_evidence(
-    rays: PixelRays, prior: Prior, config: ShadingConfig, generator: torch.Generator, *, refine_pose: bool
+    rays: PixelRays, landmarks: LandmarkRays, prior: Prior, config: ShadingConfig, generator: torch.Generator
 ) -> ShadingEvidence:
     """Find the shape whose normals shade as the photo does, and how sure that is.
 
     Parameters
     ----------
     rays : of the mask
-    refine_pose : the pose is an estimate, to be found together with the shape
+    landmarks : those that the pose was estimated from, which is then found anew together with the shape; or none
     """
     if config.steps < 1:
-        return no_evidence(prior)
+        return no_evidence(prior, refine_pose=len(landmarks) > 0)
     pixels, t = _face_pixels(rays, prior, config, generator)
     if len(pixels) < FEWEST:
-        return no_evidence(prior)
-    return _Problem(pixels, t, prior, config, refine_pose=refine_pose).solved(t)
+        return no_evidence(prior, refine_pose=len(landmarks) > 0)
+    return _Problem(pixels, t, landmarks, prior, config).solved(t)
 
 
 def harmonics(n: Float[Tensor, "N 3"]) -> Float[Tensor, "N 9"]:
@@ -164,6 +172,7 @@ class _Seen:
     t : (N,) along the rays
     n, root : (N, 3) normal and square root of the albedo
     dn, droot : (N, 3, K + 6), or (N, 3, K) where the pose is given
+    r, dr : (L, 3) and (L, 3, K + 6) offsets of the landmarks from their rays, in expected misses; or none
     """
 
     t: Tensor
@@ -171,21 +180,24 @@ class _Seen:
     root: Tensor
     dn: Tensor
     droot: Tensor
+    r: Tensor
+    dr: Tensor
 
 
 class _Problem:
     """The photo's pixels, and the unknowns p = (c, q, L, b) one after another."""
 
-    def __init__(self, pixels: PixelRays, t: Tensor, prior: Prior, config: ShadingConfig, *, refine_pose: bool):
-        self.pixels, self.prior, self.config = pixels, prior, config
+    def __init__(self, pixels: PixelRays, t: Tensor, landmarks: LandmarkRays, prior: Prior, config: ShadingConfig):
+        self.pixels, self.landmarks, self.prior, self.config = pixels, landmarks, prior, config
         self.linear = srgb_decode(pixels.rgb)
         self.patches = _patches((pixels.origins + t[:, None] * pixels.directions)[:, :2], config.patch)
-        self.codes, self.poses, self.gains = prior.z_sdf.basis.shape[1], 6 if refine_pose else 0, self.patches.shape[1]
+        self.codes, self.gains = prior.z_sdf.basis.shape[1], self.patches.shape[1]
+        self.poses = 6 if len(landmarks) else 0
         ones = lambda count, sigma: t.new_full((count,), sigma**-2)  # noqa: E731
         self.precision = torch.cat(
             [
                 ones(self.codes, 1.0),
-                t.new_tensor(POSE_SIGMA[: self.poses]) ** -2,
+                (LOOSE_POSE * t.new_tensor(POSE_SIGMA[: self.poses])) ** -2,
                 t.new_zeros(27),
                 ones(self.gains, config.patch_gain),
                 ones(3 * self.gains, config.patch_tint),
@@ -218,8 +230,8 @@ class _Problem:
             fall, p, seen, value, damping = value - trial_value, trial, trial_seen, trial_value, max(1.0, damping / 4)
             if fall < ENOUGH:
                 break
-        precision = self.of_codes(self.normal_equations(p, seen)[0])
-        return ShadingEvidence(p[: self.codes].clone(), precision.to(p), self.pose(p))
+        precision = self.of_shape(self.normal_equations(p, seen)[0])
+        return ShadingEvidence(p[: self.codes].clone(), self.pose(p), precision.to(p))
 
     def pose(self, p: Tensor) -> Tensor:
         """(6,) q; zero where the pose is given."""
@@ -235,7 +247,8 @@ class _Problem:
         """The surface along the pixels' rays, found from where they met it before."""
         model, q = self.prior.shape, self.pose(p)
         z_sdf = self.prior.z_sdf.code(p[: self.codes])
-        o, d = corrected(PoseCorrection(q[:3], q[3:]), self.pixels.origins, self.pixels.directions)
+        pose = PoseCorrection(q[:3], q[3:])
+        o, d = corrected(pose, self.pixels.origins, self.pixels.directions)
         for _ in range(3):
             f, g, _, _ = sdf_and_gradient(model, o + t[:, None] * d, z_sdf, differentiable=False)
             step = f / (g * d).sum(-1).clamp_max(-FLATTEST)
@@ -248,7 +261,8 @@ class _Problem:
         root = albedo.clamp_min(1e-3).sqrt()
         slopes = lambda y: torch.autograd.grad(y.sum(), (z, x), retain_graph=True)  # noqa: E731
         dz = nn.functional.pad(self.prior.z_sdf.basis, (0, self.poses))
-        moved = self.moved(x.detach(), q)
+        # Where a point of a ray goes with p, if it stays at its t.
+        moved = nn.functional.pad(moved_by(x.detach(), q[3:]), (self.codes, 0))[:, :, : self.codes + self.poses]
         fz, _ = slopes(f)
         g0 = g.detach()
         along = -(fz @ dz + torch.einsum("ni,nik->nk", g0, moved)) / (g0 * d).sum(-1, keepdim=True).clamp_max(-FLATTEST)
@@ -260,17 +274,9 @@ class _Problem:
         length = g0.norm(dim=-1).clamp_min(1e-6)
         n = g0 / length[:, None]
         dn = (dg - n[:, :, None] * (n[:, :, None] * dg).sum(1, keepdim=True)) / length[:, None, None]
-        return _Seen(t, n, root.detach(), dn, droot)
-
-    def moved(self, x: Tensor, q: Tensor) -> Tensor:
-        """(N, 3, K + 6): where a point of a ray goes with p, if it stays at its t."""
-        out = x.new_zeros(len(x), 3, self.codes + self.poses)
-        if self.poses:
-            axes = torch.eye(3, dtype=x.dtype, device=x.device)
-            for k in range(3):
-                out[:, :, self.codes + k] = torch.linalg.cross(axes[k].expand_as(x), x - q[3:])
-                out[:, :, self.codes + 3 + k] = axes[k]
-        return out
+        r, dr = landmark_offsets(self.landmarks, model, z_sdf, self.prior.z_sdf.basis, pose)
+        sigma = self.landmarks.sigma[:, None]
+        return _Seen(t, n, root.detach(), dn, droot, r / sigma, dr / sigma[..., None])
 
     def error(self, p: Tensor, seen: _Seen) -> tuple[Tensor, Tensor]:
         """(N, 3) linear radiance and error, sRGB-encoded."""
@@ -282,6 +288,8 @@ class _Problem:
         """Nats: robust error and the unknowns' priors."""
         squared = (self.error(p, seen)[1] / self.config.error).square()
         data = self.weight * (squared / (1.0 + squared)).mean(-1).sum()
+        missed = seen.r.square().sum(-1)
+        data = data + (missed / (1.0 + missed / WRONG**2)).sum()
         return float(0.5 * (data + (self.precision * p.square()).sum()))
 
     def first_light(self, seen: _Seen) -> Tensor:
@@ -323,13 +331,19 @@ class _Problem:
         weight = (self.weight / 3 / scale**2 / (1.0 + (error / scale).square()).square()).flatten().double()
         hessian = jacobian.T @ (weight[:, None] * jacobian)
         slope = jacobian.T @ (weight * error.flatten().double()) + (self.precision * p).double()
+        if len(self.landmarks):
+            shape = self.codes + self.poses
+            trust = (1.0 + seen.r.square().sum(-1) / WRONG**2).double() ** -2
+            hessian[:shape, :shape] += torch.einsum("l,lik,lim->km", trust, seen.dr.double(), seen.dr.double())
+            slope[:shape] += torch.einsum("l,lik,li->k", trust, seen.dr.double(), seen.r.double())
         return hessian, slope
 
-    def of_codes(self, hessian: Tensor) -> Tensor:
-        """(K, K) what the data say of c, all other unknowns integrated out."""
-        k = self.codes
+    def of_shape(self, hessian: Tensor) -> Tensor:
+        """What the data say of c and q, light and patches integrated out, and the prior of q."""
+        k = self.codes + self.poses
         others = hessian[k:, k:] + torch.diag(self.damping[k:].double())
         out = hessian[:k, :k] - hessian[:k, k:] @ torch.linalg.solve(others, hessian[k:, :k])
+        out.diagonal()[self.codes :] += self.precision[self.codes : k].double()
         return 0.5 * (out + out.T)
 
 

@@ -1,6 +1,7 @@
 """What the fit is given: one photo, its mask, its camera, and where the head stands."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,7 +24,8 @@ class Portrait:
         fit compares
     name : for reports
     metres_per_unit : length of one world unit in metres
-    pose_is_estimated : canonical_from_world came from 2D landmarks, so the fit should refine it
+    landmarks_px : canonical name to (2,) pixel position, where canonical_from_world was found from these alone; empty
+        where it is known
     warnings : what the reader had to assume or mend, one line each
     """
 
@@ -34,7 +36,7 @@ class Portrait:
     saturated: np.ndarray
     name: str = "portrait"
     metres_per_unit: float = 1.0
-    pose_is_estimated: bool = False
+    landmarks_px: Mapping[str, np.ndarray] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self):
@@ -62,6 +64,11 @@ class Portrait:
                 remedy="use white (> 127) on the head, black elsewhere",
             )
         check_head_before_camera(self.camera, self.canonical_from_world)
+
+    @property
+    def pose_is_estimated(self) -> bool:
+        """Whether canonical_from_world came from 2D landmarks, so that the fit should refine it."""
+        return bool(self.landmarks_px)
 
     @property
     def world_from_canonical(self) -> np.ndarray:

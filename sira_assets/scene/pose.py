@@ -17,9 +17,22 @@ from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M
 
 MIN_LANDMARKS = 6  # 12 equations for 6 unknowns; with fewer, one wrong point goes unnoticed
 
-# A landmark's expected miss, in canonical metres: the spread of people (root mean square over the axes, 2000 identities
-# of ICT-FaceKit brought to the canonical frame: 1.1 to 2.2 mm) and, in quadrature, that of a detector (about 2 mm; 6 mm
-# at the chin, which detectors place worst) and, at the corners of the mouth, 4 mm of expression: a photo smiles.
+# A detector's expected miss, in canonical metres: 6 mm at the chin, which detectors place worst, and at the corners of
+# the mouth 4 mm of expression besides, as a photo smiles.
+LANDMARK_NOISE_M: Mapping[str, float] = {
+    "right_eye_outer": 0.002,
+    "right_eye_inner": 0.002,
+    "left_eye_inner": 0.002,
+    "left_eye_outer": 0.002,
+    "nose_tip": 0.002,
+    "nose_base": 0.002,
+    "mouth_right": 0.0045,
+    "mouth_left": 0.0045,
+    "chin": 0.006,
+}
+
+# What a landmark of the mean head misses by: that and, in quadrature, the spread of people (root mean square over the
+# axes, 2000 identities of ICT-FaceKit brought to the canonical frame: 1.1 to 2.2 mm).
 LANDMARK_SPREAD_M: Mapping[str, float] = {
     "right_eye_outer": 0.0024,
     "right_eye_inner": 0.0023,

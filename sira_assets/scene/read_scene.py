@@ -5,6 +5,7 @@ the intrinsics. What the user gives beside the scene overrides it. A scene's `gt
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -151,7 +152,7 @@ def _from_scene(path: Path, given: _Given) -> Portrait:
             _, mask = read_frame(replace(frame, mask_path=beside))
     mask = _mask_or_alpha(mask, image)
     landmarks = given.landmarks or scene.landmarks
-    estimated = False
+    pixels = {}
     metres = 1.0 if scene.metres_per_unit is None else scene.metres_per_unit
     camera = frame.camera
     if scene.canonical_from_world is not None and given.landmarks is None:
@@ -166,7 +167,6 @@ def _from_scene(path: Path, given: _Given) -> Portrait:
         canonical_from_camera = np.linalg.inv(camera_from_canonical(pixels, camera.intrinsics))
         unit = np.diag([metres, metres, metres, 1.0])
         canonical_from_world = canonical_from_camera @ unit @ camera.camera_from_world
-        estimated = True
         said.append("head placed by its 2D landmarks, at the mean head's size; expect some degrees and 2 % of distance")
     else:
         raise InputError(
@@ -179,7 +179,7 @@ def _from_scene(path: Path, given: _Given) -> Portrait:
         metres = scale
         said.append(f"the scene does not say metres_per_unit; {scale:.4g} assumed, which makes the head of mean size")
     name = (path if path.is_dir() else path.parent).resolve().name
-    return _portrait(image, mask, camera, canonical_from_world, name, metres, said, estimated)
+    return _portrait(image, mask, camera, canonical_from_world, name, metres, said, pixels)
 
 
 def _from_photo(path: Path, given: _Given) -> Portrait:
@@ -203,9 +203,10 @@ def _from_photo(path: Path, given: _Given) -> Portrait:
         )
     intrinsics = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     camera = _with_focal(Camera(intrinsics, np.eye(4), width, height), given)
-    pose = np.linalg.inv(camera_from_canonical(given.landmarks.pixels, camera.intrinsics))
+    pixels = given.landmarks.pixels
+    pose = np.linalg.inv(camera_from_canonical(pixels, camera.intrinsics))
     said.append("head placed by its 2D landmarks, at the mean head's size; expect some degrees and 2 % of distance")
-    return _portrait(image, mask, replace(camera, world_from_camera=pose), np.eye(4), path.stem, 1.0, said, True)
+    return _portrait(image, mask, replace(camera, world_from_camera=pose), np.eye(4), path.stem, 1.0, said, pixels)
 
 
 def _with_focal(camera: Camera, given: _Given) -> Camera:
@@ -254,7 +255,7 @@ def _portrait(
     name: str,
     metres_per_unit: float,
     said: list[str],
-    pose_is_estimated: bool,
+    landmarks_px: Mapping[str, np.ndarray],
 ) -> Portrait:
     negative = int((image.linear < 0).any(-1).sum())
     if negative:
@@ -274,6 +275,6 @@ def _portrait(
         saturated=saturated,
         name=name,
         metres_per_unit=metres_per_unit,
-        pose_is_estimated=pose_is_estimated,
+        landmarks_px=landmarks_px,
         warnings=tuple(said),
     )

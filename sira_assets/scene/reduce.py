@@ -58,5 +58,6 @@ def reduced(portrait: Portrait, longest_side: int) -> Portrait:
         image_linear=blocks(portrait.image_linear).mean((1, 3), dtype=np.float64).astype(np.float32),
         mask=blocks(portrait.mask).mean((1, 3)) > 0.5,
         camera=camera,
+        landmarks_px={name: np.asarray(pixel) / k for name, pixel in portrait.landmarks_px.items()},
         saturated=blocks(portrait.saturated).any((1, 3)),
     )

@@ -8,6 +8,7 @@ import torch
 from ball_prior import APPEARANCE, SHAPE
 from small_portrait import portrait
 from test_fit import APPEARANCE_FIT, GEOMETRY
+from test_landmark_rays import posed_by_landmarks
 
 from sira_assets.fields.af_sm import AppearanceFactorModel
 from sira_assets.fields.prior import CodeStatistics, Prior, freeze, untrained_appearance
@@ -42,6 +43,11 @@ def test_without_a_reference_phase_b_frees_every_weight_and_phase_a_none(steps):
     assert fit.shape.reference is None
     assert all(np.isfinite(list(losses.values())).all() for _, losses in fit.history)
     assert len(extract_mesh(unlit_head(fit, prior), ExtractConfig(cell_m=0.01)).faces) > 100
+
+
+def test_without_a_reference_a_pose_from_landmarks_is_refined_all_the_same():
+    fit = fit_geometry(posed_by_landmarks(), ball_prior(WITHOUT_REFERENCE), GEOMETRY)
+    assert 0.0 < fit.pose_change_deg < 30.0
 
 
 def test_an_untrained_renderer_learns_from_the_first_step_and_a_trained_one_later():

@@ -20,6 +20,7 @@ from sira_assets.fit.geometry import GeometryFitConfig, fit_geometry
 from sira_assets.fit.pixels import mask_rays
 from sira_assets.mesh.extract import ExtractConfig, extract_mesh
 from sira_assets.render.tracing import sphere_trace
+from sira_assets.scene.canonical import CANONICAL_LANDMARKS_M, transform_points
 from sira_assets.texture.bake import BakeConfig
 from sira_assets.texture.unwrap import UnwrapConfig
 
@@ -69,7 +70,11 @@ def test_the_reference_is_never_changed_and_a_given_pose_is_kept():
 
 
 def test_an_estimated_pose_is_refined():
-    fit = fit_geometry(replace(portrait(), pose_is_estimated=True), ball_prior(), GEOMETRY)
+    given = portrait()
+    places = transform_points(given.world_from_canonical, np.array(list(CANONICAL_LANDMARKS_M.values())))
+    pixels, _ = given.camera.project(places)
+    estimated = replace(given, landmarks_px=dict(zip(CANONICAL_LANDMARKS_M, pixels, strict=True)))
+    fit = fit_geometry(estimated, ball_prior(), GEOMETRY)
     assert 0.0 < fit.pose_change_deg < 30.0
 
 

@@ -19,7 +19,7 @@ CHANGES = {
 
 def losses_of_a_fit() -> GeometryLosses:
     prior = ball_prior()
-    return GeometryLosses(GEOMETRY, prior, *_pools(portrait(), GEOMETRY, "cpu"), no_evidence(prior), refine_pose=False)
+    return GeometryLosses(GEOMETRY, prior, *_pools(portrait(), GEOMETRY, "cpu"), no_evidence(prior, refine_pose=False))
 
 
 def lopsided(change, x) -> float:
