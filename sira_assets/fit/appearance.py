@@ -90,6 +90,7 @@ def fit_appearance(
     record = run_stages(
         _stages(fit, c), fit.state(), seed=c.seed, device=device, checkpoint=checkpoint, pace=pace, report=report
     )
+    fit.settle_light()
     freeze(fit.refinement)
     if not c.scheduled:
         freeze(fit.model)
@@ -166,6 +167,7 @@ def _stages(fit: AppearanceLosses, c: AppearanceFitConfig) -> list[Stage]:
             return Stage(name, steps, groups, losses, enter=fit.enter_early, before_step=look, work=WORK[name])
 
         def begin() -> None:
+            fit.settle_light()
             if refine and c.steps_specular:
                 fit.decide_highlights()
             fit.aim()

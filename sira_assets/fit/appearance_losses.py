@@ -91,6 +91,8 @@ class AppearanceFitConfig:
 ROUGHNESS_STEP = 0.02
 ROUGHNESS_RANGE = (0.3, 0.7)
 ROUGHNESS_POINTS = 4000
+# Points of the face whose mean albedo the light follows.
+LEVEL_POINTS = 200
 # Skin reflects, so highlights stay unless the fit with them is worse by more than this share of the mean error. Without
 # any in the photo it was worse by 2 to 9 % (generated heads under one and twelve lobes), with them from 10 % better to
 # 4 % worse, on a real scan neither.
@@ -122,6 +124,9 @@ class AppearanceLosses:
         self.table: VisibilityTable | None = None
         self.model = prior.appearance if config.scheduled else opened(prior.appearance)
         self.light = FreeLight(prior, lobes=config.lobes)
+        face = torch.nonzero(on_face(self.early.x))[:, 0]
+        face = face if len(face) else torch.arange(len(self.early), device=device)
+        self.level_points = self.early.rows(face[:: max(1, len(face) // LEVEL_POINTS)])
         # Each lobe's share at all points when last looked at; nothing to keep without shadows.
         self.held = torch.ones(len(surface) if shadows is not None else 0, len(self.light.log_sharpness), device=device)
         self.z_a = nn.Parameter(torch.zeros(prior.z_a.basis.shape[1], device=device))
@@ -130,7 +135,6 @@ class AppearanceLosses:
         # Mean errors without and with highlights once each was fitted, and whether they are needed.
         self.plain_error, self.shiny_error = (torch.tensor(0.0, dtype=torch.float64) for _ in range(2))
         self.highlights = torch.tensor(1.0)
-        self.plain = [tensor.detach().clone() for tensor in self._fitted()]
         # What making lobes one has changed so far.
         self.merging = torch.tensor(0.0, dtype=torch.float64)
         feature_size = surface.gamma.shape[-1]
@@ -138,11 +142,14 @@ class AppearanceLosses:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.refinement = AlbedoRefinement(config.refinement, feature_size=feature_size).to(device)
+        # The level of the albedo that the light goes with, see `_follow`.
+        self.level = self._level().detach()
+        self.plain = [tensor.detach().clone() for tensor in self._fitted()]
         self._match_exposure()
 
     def state(self) -> dict[str, Tensor]:
         """All that the fit's steps change."""
-        own = self.light.state() | {"z_a": self.z_a, "z_s": self.z_s}
+        own = self.light.state() | {"z_a": self.z_a, "z_s": self.z_s, "level": self.level}
         own |= {"roughness": self.roughness, "merging": self.merging, "highlights": self.highlights}
         own |= {"plain_error": self.plain_error, "shiny_error": self.shiny_error}
         own |= {f"plain.{i}": tensor for i, tensor in enumerate(self.plain)}
@@ -209,7 +216,8 @@ class AppearanceLosses:
             # Before the refinement the reflection at grazing angles stays on: with it left out as well, light took its
             # place (james_soft: specular albedo 9.4 instead of 10.8 dB, the light too bright by 2.0 instead of 1.8).
             f0 = k_s * self.model.specular_f0(points.x_ref, albedo, self.prior.z_s.code(self.z_s))
-        lobes = self.light.lobes()
+        brighter = self._follow() if c.scheduled and not refine else 0.0
+        lobes = self.light.lobes(brighter)
         if self.table is None:
             seen = None
         else:
@@ -230,7 +238,7 @@ class AppearanceLosses:
             "colour": colour_error(shading.radiance, points, squared=c.squared if refine else 0.0),
             "albedo_prior": c.albedo_prior * (self.z_a.square().sum() + self.z_s.square().sum()),
             "light_prior": c.light_prior * self.light.energy(),
-            "tint": c.tint * self.light.tint(),
+            "tint": c.tint * self.light.tint(brighter),
         }
         if refine:
             diffuse_base = base * shading.irradiance.detach() / math.pi
@@ -263,6 +271,29 @@ class AppearanceLosses:
         squared = mean.square()
         robust = (squared / (c.drift_scale**2 + squared)).mean(-1)
         return (total[:, 6] * robust).sum() / len(x_ref)
+
+    def _level(self) -> Tensor:
+        """(3,) mean log of the face's base albedo."""
+        points = self.level_points
+        albedo = self.model.diffuse(points.x_ref, points.gamma, self.prior.z_a.code(self.z_a))
+        return albedo.clamp_min(1e-4).log().mean(0)
+
+    def _follow(self) -> Tensor:
+        """Make the light as much brighter as the albedo has become darker; (3,) zeros whose gradient goes on doing so.
+
+        A darker skin in so much more light looks the same but for its hue, so steps that move either alone hardly move
+        at all: all skin would stay near the lightness it was begun with.
+        """
+        level = self._level()
+        self.light.brighten(self.level - level.detach())
+        self.level.copy_(level.detach())
+        return level.detach() - level
+
+    @torch.no_grad()
+    def settle_light(self) -> None:
+        """Let the light follow the last step's albedo too."""
+        if self.config.scheduled:
+            self._follow()
 
     @torch.no_grad()
     def settle_roughness(self, *, k_s: float) -> None:
@@ -311,7 +342,7 @@ class AppearanceLosses:
 
     def _fitted(self) -> list[Tensor]:
         """What the stages before the refinement have found, without highlights' own."""
-        return [*self.light.parameters(), self.light.start, self.light.kept, self.z_a]
+        return [*self.light.parameters(), self.light.start, self.light.kept, self.z_a, self.level]
 
     def _some_rows(self) -> Tensor:
         step = max(1, len(self.points) // ROUGHNESS_POINTS)
@@ -345,7 +376,7 @@ class AppearanceLosses:
         albedo = self.model.diffuse(surface.x_ref, surface.gamma, self.prior.z_a.mean)
         shading: Shading = shade(surface.normals, surface.view, albedo, None, *self.light.lobes())
         gain = srgb_decode(surface.rays.rgb).mean() / shading.radiance.mean().clamp_min(1e-6)
-        self.light.scale(float(gain))
+        self.light.brighten(math.log(min(max(float(gain), 1e-4), 1e4)))
 
 
 def opened(model: AppearanceFactorModel) -> AppearanceFactorModel:

@@ -43,10 +43,18 @@ class FreeLight:
         """What an optimiser moves."""
         return [self.axis, self.log_sharpness, self.log_amplitude]
 
-    def lobes(self) -> tuple[Float[Tensor, "M 3"], Float[Tensor, " M"], Float[Tensor, "M 3"]]:
-        """Of the lobes that count: axis, sharpness in (0.02, 3000) and amplitude in (6e-6, 22000)."""
+    def lobes(
+        self, brighter: Float[Tensor, "3"] | float = 0.0
+    ) -> tuple[Float[Tensor, "M 3"], Float[Tensor, " M"], Float[Tensor, "M 3"]]:
+        """Of the lobes that count: axis, sharpness in (0.02, 3000) and amplitude in (6e-6, 22000).
+
+        Parameters
+        ----------
+        brighter : log of what every amplitude is multiplied by
+        """
         axis = nn.functional.normalize(self.axis, dim=-1)
-        lobes = axis, self.log_sharpness.clamp(-4.0, 8.0).exp(), self.log_amplitude.clamp(-12.0, 10.0).exp()
+        amplitude = (self.log_amplitude + brighter).clamp(-12.0, 10.0).exp()
+        lobes = axis, self.log_sharpness.clamp(-4.0, 8.0).exp(), amplitude
         return tuple(t[self.kept] for t in lobes)
 
     def energy(self) -> Float[Tensor, ""]:
@@ -54,7 +62,7 @@ class FreeLight:
         chroma = (self.log_amplitude - self.log_amplitude.mean(-1, keepdim=True))[self.kept]
         return (self.log_sharpness - self.start)[self.kept].square().sum() + 4.0 * chroma.square().sum()
 
-    def tint(self) -> Float[Tensor, ""]:
+    def tint(self, brighter: Float[Tensor, "3"] | float = 0.0) -> Float[Tensor, ""]:
         """How far the light that meets the face is from grey: sum of ln(1 + t^2), t the two log ratios over their
         scales (Student's t of one degree).
 
@@ -62,7 +70,8 @@ class FreeLight:
         to grey, and skin's colour goes with its lightness.
         """
         every_way = fibonacci_sphere(192).to(self.axis)
-        red, green, blue = irradiance(every_way[every_way[:, 2] > 0.5], *self.lobes()).mean(0).clamp_min(1e-6).log()
+        met = irradiance(every_way[every_way[:, 2] > 0.5], *self.lobes(brighter)).mean(0)
+        red, green, blue = met.clamp_min(1e-6).log()
         return torch.log1p(((red - green) / TINT_RED).square()) + torch.log1p(((blue - green) / TINT_BLUE).square())
 
     @torch.no_grad()
@@ -80,6 +89,6 @@ class FreeLight:
         return {name: getattr(self, name) for name in names} | {"light_start": self.start, "light_kept": self.kept}
 
     @torch.no_grad()
-    def scale(self, gain: float) -> None:
-        """Multiply the radiance."""
-        self.log_amplitude += float(torch.log(torch.tensor(gain).clamp(1e-4, 1e4)))
+    def brighten(self, brighter: Float[Tensor, "3"] | float) -> None:
+        """Multiply the radiance by the exponential of `brighter`."""
+        self.log_amplitude += brighter
